@@ -39,6 +39,7 @@ use ur_sim::controller::config::SOFTWARE;
 use ur_sim::controller::modes::Control;
 use ur_sim::controller::program_files::ProgramFiles;
 use ur_sim::motion::safety::SafetyLimits;
+use ur_sim::world::drive::Drive;
 
 /// Distance of the camera over the table while looking, m.
 pub const LOOK_DISTANCE_M: f64 = 0.42;
@@ -210,7 +211,14 @@ pub fn sim_file(instance: &Instance, config: &CellConfig, choice: &DemoChoice) -
     };
     Ok(SimFile {
         bind: choice.bind.to_string(),
-        ports: SimPorts { modbus: 0, camera: 0, control: 0, controller_modbus: None, robot_api: 0 },
+        ports: SimPorts {
+            modbus: 0,
+            camera: 0,
+            control: 0,
+            controller_modbus: None,
+            robot_api: 0,
+            robotiq: 0,
+        },
         seed: choice.seed,
         time_factor: choice.time_factor,
         width_m: instance.workspace.width,
@@ -220,6 +228,7 @@ pub fn sim_file(instance: &Instance, config: &CellConfig, choice: &DemoChoice) -
         camera: SimMount::Flange(flange_from_camera),
         hand_board: None,
         gripper: config.gripper.clone(),
+        drive: Drive::Vgc10,
         objects: instance.objects.clone(),
         reference_markers: config.reference_markers.clone(),
         model: ARM_MODELS[0],

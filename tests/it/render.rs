@@ -17,6 +17,7 @@ use ur_sim::render::Renderer;
 use ur_sim::render::lens::CameraTruth;
 use ur_sim::render::scene::look_at;
 use ur_sim::world::World;
+use ur_sim::world::drive::Drive;
 use ur_sim::world::spec::{CameraMount, Cup, GripperSpec, HandBoard, NominalCell, ObjectMarker};
 use ur_sim::world::spec::{
     PlacementErrors, ReferenceMarker, TableSpec, TruthLimits, TruthSpec, WorldObject, WorldSpec,
@@ -64,6 +65,7 @@ fn the_simulated_lens_agrees_with_opencv() {
 
 fn gripper() -> GripperSpec {
     GripperSpec {
+        drive: Drive::Vgc10,
         flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
         cups: vec![Cup { channel: Channel::A, x_m: 0.0, y_m: 0.0, diameter_m: 0.02 }],
         body: Footprint::rectangle(0.07, 0.07).unwrap(),

@@ -5,7 +5,7 @@
 
 use crate::fields::{list, required_number, required_positive};
 use cell_values::units::ATMOSPHERE_PA;
-use rearrange::document::decode::{At, Decoder};
+use rearrange::document::decode::{At, Decoder, Fields};
 use rearrange::tabletop::decode;
 
 /// The two suction channels of the VGC10.
@@ -33,7 +33,7 @@ pub struct CupConfig {
 /// The gripper.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GripperConfig {
-    /// At least one.
+    /// At least one, but of fingers.
     pub cups: Vec<CupConfig>,
     /// Outline of the body in the tool frame, m: what must not touch the neighbours of a gripped object.
     pub body_polygon: Vec<[f64; 2]>,
@@ -55,24 +55,43 @@ impl GripperConfig {
     }
 }
 
+/// Keys of the section.
+pub const GRIPPER_KEYS: &[&str] = &["cups", "body", "vacuum_min", "mass_kg", "centre_of_gravity_m"];
+
+/// Least vacuum of a gripper that has none to compare it with.
+const NO_VACUUM: f64 = 0.3;
+
 /// Cups, body and mass of the gripper.
 pub fn gripper(decoder: &mut Decoder, at: &At) -> Option<GripperConfig> {
-    let known = ["cups", "body", "vacuum_min", "mass_kg", "centre_of_gravity_m"];
-    let fields = decoder.map(at, &known)?;
-    let cups = fields.required("cups", decoder).and_then(|at| list(decoder, &at, cup));
+    let fields = decoder.map(at, GRIPPER_KEYS)?;
+    gripper_of(decoder, at, &fields, true)
+}
+
+/// The same from a section that may have further keys; a gripper that does not suck has no cups.
+pub fn gripper_of(decoder: &mut Decoder, at: &At, fields: &Fields, sucks: bool) -> Option<GripperConfig> {
+    let (cups, vacuum_min) = if sucks {
+        let cups = fields.required("cups", decoder).and_then(|at| list(decoder, &at, cup));
+        (cups, required_number(decoder, fields, "vacuum_min", 0.05..=0.8, "of an atmosphere"))
+    } else {
+        for key in ["cups", "vacuum_min"] {
+            if let Some(at) = fields.optional(key) {
+                decoder.complain_at(&at, format!("{key} of a gripper that does not suck"), "leave it out");
+            }
+        }
+        (Some(Vec::new()), Some(NO_VACUUM))
+    };
     let body = fields.required("body", decoder).and_then(|at| {
         let fields = decoder.map(&at, &["polygon", "height"])?;
         let polygon = fields.required("polygon", decoder).and_then(|at| decode::polygon(decoder, &at));
         let height = required_number(decoder, &fields, "height", 0.0..=1.0, "m");
         Some((polygon?.points().to_vec(), height?))
     });
-    let vacuum_min = required_number(decoder, &fields, "vacuum_min", 0.05..=0.8, "of an atmosphere");
-    let mass_kg = required_positive(decoder, &fields, "mass_kg", 5.0, "kg");
+    let mass_kg = required_positive(decoder, fields, "mass_kg", 5.0, "kg");
     let centre = fields
         .required("centre_of_gravity_m", decoder)
         .and_then(|at| decoder.numbers_in::<3>(&at, -1.0..=1.0, "m"));
     let cups = cups?;
-    if cups.is_empty() {
+    if sucks && cups.is_empty() {
         decoder.complain_at(at, "no cups are given", "add at least one to `cups`");
         return None;
     }

@@ -65,7 +65,8 @@ impl SimConfig {
             0 => Ok(0),
             port => port.checked_add(offset).ok_or(SimError::PortOffset { port, offset }),
         };
-        let highest = RobotPorts::REAL.interpreter.max(self.ports.dashboard);
+        let RobotPorts { dashboard, robotiq, .. } = self.ports;
+        let highest = RobotPorts::REAL.interpreter.max(dashboard).max(robotiq.unwrap_or(0));
         let beyond = SimError::PortOffset { port: highest, offset };
         if self.ports != RobotPorts::ANY {
             self.ports = self.ports.moved(offset).ok_or(beyond)?;
@@ -137,9 +138,11 @@ pub async fn start(config: SimConfig) -> Result<RunningSim, SimError> {
     if !(0.01..=1000.0).contains(&config.time_factor) {
         return Err(SimError::TimeFactor(config.time_factor));
     }
-    let mut controller = Controller::new(config.controller);
-    controller.core.sockets = Box::new(TcpScriptSockets::from_address(config.bind));
-    let core = Core::new(controller, World::new(config.world, config.seed)?, config.time_factor);
+    let core = Core::new(
+        Controller::new(config.controller),
+        World::new(config.world, config.seed)?,
+        config.time_factor,
+    );
     core.desk.submit(config.faults)?;
     let (stop, stopped) = watch::channel(false);
     let gripper = listen(Port::Gripper.name(), config.bind, config.modbus_port).await?;
@@ -155,6 +158,8 @@ pub async fn start(config: SimConfig) -> Result<RunningSim, SimError> {
         camera: camera.1,
         control: control.as_ref().map(|(_, address)| *address),
     };
+    let sockets = TcpScriptSockets::from_address(config.bind).with_urcap(addresses.robot.robotiq);
+    core.robot.controller().core.sockets = Box::new(sockets);
     servers.take(gripper, &core, Port::Gripper, &stopped);
     let mut tasks = JoinSet::new();
     let (world, link) = (core.world.clone(), core.robot.links.get(LinkName::Camera).clone());
@@ -247,6 +252,7 @@ mod tests {
     use crate::camera::CameraTiming;
     use crate::render::lens::CameraTruth;
     use crate::serve::MAX_CONNECTIONS;
+    use crate::world::drive::{Drive, FingersSpec};
     use crate::world::lock;
     use crate::world::spec::{CameraMount, GripperSpec};
     use nalgebra::Isometry3;
@@ -348,6 +354,26 @@ mod tests {
         taken.modbus_port = listener.local_addr().unwrap().port();
         let error = start(taken).await.unwrap_err();
         assert!(matches!(&error, SimError::Listen(listen) if listen.server == "gripper"), "{error}");
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn scripts_find_the_urcap_of_a_robotiq_gripper_on_their_own_controller() {
+        let mut config = config("127.0.0.1", 10.0);
+        config.world.gripper.drive = Drive::Fingers(FingersSpec::ROBOTIQ_2F85);
+        config.world.gripper.cups.clear();
+        let sim = start(config).await.unwrap();
+        assert!(sim.addresses.robot.robotiq.is_some());
+        let script = "def rq():\n socket_open(\"127.0.0.1\", 63352, \"g\")\n socket_set_var(\"ACT\", 1, \
+                      \"g\")\n ack = socket_read_byte_list(3, \"g\")\n while socket_get_var(\"STA\", \"g\") != \
+                      3:\n  sync()\n end\n set_standard_digital_out(1, ack == [3, 97, 99, 107])\nend\n";
+        sim.robot().controller().programs.upload(crate::controller::builtins::compile_program(script));
+        let output = || sim.robot().controller().core.registers.digital_outputs;
+        let begun = tokio::time::Instant::now();
+        while output() != 1 << 1 {
+            assert!(begun.elapsed().as_secs() < 30, "the gripper was not activated");
+            tokio::task::yield_now().await;
+        }
+        sim.shutdown().await;
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -22,6 +22,7 @@ use crate::faults::Planned;
 use crate::faults::read::read_faults;
 use crate::render::lens::CameraTruth;
 use crate::robot_server::RobotPorts;
+use crate::world::drive::Drive;
 use crate::world::spec;
 use crate::world::vacuum::Channel;
 use cell_edge::priority;
@@ -206,6 +207,7 @@ async fn serve(config: SimConfig, port_offset: u16, until_eof: bool) -> u8 {
         "port_offset": port_offset,
         "dashboard": dashboard,
         "robot_api": robot_api,
+        "robotiq": addresses.robot.robotiq.map(|robotiq| robotiq.to_string()),
         "primary": addresses.robot.primary.to_string(),
         "secondary": addresses.robot.secondary.to_string(),
         "realtime": addresses.robot.realtime.to_string(),
@@ -245,21 +247,14 @@ pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig 
         mount_rad: errors.mount_rad,
     };
     let truth = spec::TruthSpec::from_seed(&nominal, &limits, file.seed);
-    let modbus = ports.modbus.or(file.ports.controller_modbus);
-    let controller = controller_config(file);
-    // Any port stays any.
-    let dashboard = match controller.is_polyscope_x() && ports.dashboard != 0 {
-        true => file.ports.robot_api,
-        false => ports.dashboard,
-    };
     SimConfig {
         bind,
-        ports: RobotPorts { modbus, dashboard, ..ports },
+        ports: robot_ports(file, ports),
         modbus_port: file.ports.modbus,
         camera_port: file.ports.camera,
         control_port: None,
         time_factor: file.time_factor,
-        controller,
+        controller: controller_config(file),
         world: spec::WorldSpec {
             table: spec::TableSpec { width_m: file.width_m, height_m: file.height_m, margin_m: MARGIN_M },
             base_from_table: truth.base_from_table,
@@ -285,6 +280,20 @@ pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig 
         },
         seed: file.seed,
         faults: Vec::new(),
+    }
+}
+
+/// Those of the controller with what the file says of them; any port stays any.
+fn robot_ports(file: &SimFile, ports: RobotPorts) -> RobotPorts {
+    let fingers = matches!(file.drive, Drive::Fingers(_)).then_some(file.ports.robotiq);
+    RobotPorts {
+        dashboard: match controller_config(file).is_polyscope_x() && ports.dashboard != 0 {
+            true => file.ports.robot_api,
+            false => ports.dashboard,
+        },
+        modbus: ports.modbus.or(file.ports.controller_modbus),
+        robotiq: ports.robotiq.or(fingers),
+        ..ports
     }
 }
 
@@ -341,6 +350,7 @@ fn gripper_spec(file: &SimFile) -> spec::GripperSpec {
         diameter_m: cup.diameter_m,
     });
     spec::GripperSpec {
+        drive: file.drive,
         flange_from_tool: file.flange_from_tool,
         cups: cups.collect(),
         // A body that cannot be drawn is no reason to stop: it only hides part of a picture.

@@ -4,6 +4,7 @@
 //! which `celld sim` builds its world. The nominal values are those the cell's own configuration states; the
 //! `errors` say how far, by seed, the simulated truth deviates from them.
 
+pub mod gripper;
 pub mod load;
 pub mod programs;
 pub mod read;
@@ -13,6 +14,7 @@ pub mod software;
 use crate::controller::modes::Control;
 use crate::controller::program_files::ProgramFiles;
 use crate::motion::safety::SafetyLimits;
+use crate::world::drive::Drive;
 use cell_parts::grid::MarkerGrid;
 use cell_parts::gripper::GripperConfig;
 use cell_parts::reference::ReferenceMarkerConfig;
@@ -47,6 +49,8 @@ pub struct SimFile {
     pub hand_board: Option<SimHandBoard>,
     /// Cups, body and mass.
     pub gripper: GripperConfig,
+    /// What makes the gripper grip.
+    pub drive: Drive,
     /// Objects with their start poses.
     pub objects: Vec<ObjectSpec>,
     /// Markers fixed to the table.
@@ -101,6 +105,8 @@ pub struct SimPorts {
     pub controller_modbus: Option<u16>,
     /// The Robot API of PolyScope X, which other software does not have.
     pub robot_api: u16,
+    /// The socket of a Robotiq gripper's URCap, which other grippers do not have.
+    pub robotiq: u16,
 }
 
 /// Standard deviations and bounds of what the simulated truth deviates by.

@@ -58,22 +58,28 @@ impl Core {
     /// The world follows the arm, which feels what it touches; where it presses too hard, its safety system
     /// stops it.
     fn step_world(&self) {
-        let (now, base_from_flange, moving) = {
-            let controller = self.robot.controller();
-            (controller.core.timestamp(), controller.core.base_from_flange(), !controller.core.mover.stands())
+        let (now, base_from_flange, moving, outputs) = {
+            let core = &self.robot.controller().core;
+            let moving = !core.mover.stands();
+            (core.timestamp(), core.base_from_flange(), moving, core.registers.digital_outputs)
         };
-        let (force, pressed) = {
+        let (force, pressed, switch) = {
             let mut world = lock(&self.world);
+            let switch = world.drive_ejector(outputs);
             let before = world.contact().map_or(0.0, |contact| contact.depth_m);
             world.step(now, FRAME_SECONDS, &base_from_flange);
             // Only what gets deeper: after the stop the arm must be able to retreat.
             let too_deep = |contact: &&Contact| moving && contact.depth_m > STOP_DEPTH_M.max(before);
             let force = world.base_from_table().rotation * world.contact_force();
-            (force, world.contact().filter(too_deep).cloned())
+            (force, world.contact().filter(too_deep).cloned(), switch)
         };
         let wrench = [force.x, force.y, force.z, 0.0, 0.0, 0.0];
         let mut controller = self.robot.controller();
         controller.core.sensing.set_contact_wrench(wrench);
+        if let Some((pin, level)) = switch {
+            let inputs = &mut controller.core.registers.digital_inputs;
+            *inputs = *inputs & !(1 << pin) | u64::from(level) << pin;
+        }
         if let Some(contact) = pressed {
             controller.protective_stop(&format!("{} presses on {}", contact.moving, contact.against));
         }

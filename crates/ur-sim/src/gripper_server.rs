@@ -6,7 +6,8 @@
 //! Registers: 0 and 1 control of channels A and B (high byte 0 release, 1 grip, 2 idle; low byte target in
 //! per cent, more than 80 is taken as 80), 2 current limit in mA (up to 1000), 258 and 259 relative vacuum
 //! in per mille, read only. A lost connection leaves the last command active, as on the device. Source:
-//! reference drivers of the device; the answer to other units (exception 0x0B) is our choice.
+//! reference drivers of the device; the answer to other units, and that of every unit where
+//! another gripper is on the hand (exception 0x0B), is our choice.
 
 use crate::faults::link::LinkState;
 use crate::world::World;
@@ -59,7 +60,7 @@ impl Session {
 }
 
 fn answer(world: &mut World, request: &Adu) -> Result<Vec<u8>, Exception> {
-    if request.unit != UNIT {
+    if request.unit != UNIT || !world.has_compute_box() {
         return Err(Exception::NoTarget);
     }
     let function = request.function()?;

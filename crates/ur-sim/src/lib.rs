@@ -36,6 +36,8 @@ pub mod robot_api_server;
 
 pub mod robot_server;
 
+pub mod robotiq_server;
+
 pub mod script_sockets;
 
 pub mod serve;

@@ -1,9 +1,9 @@
 //! The Robot API of PolyScope X over HTTP, on the controller's own port 80.
 //!
-//! In: requests below `/universal-robots/robot-api` ([`crate::robot_api`] decides), in JSON or as a form. Out:
-//! JSON. A request that waits for the arm looks at it every few milliseconds; it ends with its client, after
-//! a minute, or with the server. Connections, and the size of what is sent, are bounded as at the other HTTP
-//! servers; faults act on it under the dashboard's name.
+//! In: requests below `/universal-robots/robot-api` ([`crate::robot_api`] decides), in JSON or as a form.
+//! Out: JSON. A request that waits for the arm looks at it every few milliseconds; it ends with its client,
+//! after a minute, or with the server. Connections, and the size of what is sent, are bounded as at the
+//! other HTTP servers; faults act on it under the dashboard's name.
 
 use crate::faults::link::LinkName;
 use crate::robot_api::reply::{Outcome, Reply, Request};

@@ -7,6 +7,7 @@
 //! filling memory.
 
 use crate::controller::sockets::{MAX_BUFFER, ScriptSockets, SocketState};
+use crate::robot_server::ROBOTIQ_PORT;
 use cell_edge::priority;
 use socket2::{Domain, Socket as Socket2, Type};
 use std::collections::HashMap;
@@ -30,12 +31,19 @@ pub struct TcpScriptSockets {
     connecting: Arc<AtomicUsize>,
     /// The controller's own address, which peers may look at.
     source: Option<IpAddr>,
+    /// Where the socket of a gripper's URCap is, which scripts look for on the controller itself.
+    urcap: Option<SocketAddr>,
 }
 
 impl TcpScriptSockets {
     /// Sockets of a controller with this address.
     pub fn from_address(source: IpAddr) -> TcpScriptSockets {
         TcpScriptSockets { source: Some(source), ..TcpScriptSockets::default() }
+    }
+
+    /// The same, with a gripper's URCap on the controller.
+    pub fn with_urcap(self, urcap: Option<SocketAddr>) -> TcpScriptSockets {
+        TcpScriptSockets { urcap, ..self }
     }
 }
 
@@ -59,7 +67,9 @@ impl ScriptSockets for TcpScriptSockets {
         if self.sockets.len() >= MAX_SOCKETS {
             return;
         }
-        let link = connect(host, port, self.source, &self.connecting).map_or(Link::Closed, Link::Connecting);
+        let own = self.urcap.filter(|_| port == ROBOTIQ_PORT && matches!(host, "127.0.0.1" | "localhost"));
+        let (host, port) = own.map_or((host.to_owned(), port), |at| (at.ip().to_string(), at.port()));
+        let link = connect(&host, port, self.source, &self.connecting).map_or(Link::Closed, Link::Connecting);
         self.sockets.insert(name.to_owned(), Socket { link, received: Vec::new(), unsent: Vec::new() });
     }
 

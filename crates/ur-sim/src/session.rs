@@ -13,6 +13,7 @@ use crate::robot_server::line::{Bytes, Inlet, Line, Way};
 use crate::robot_server::publisher::Feed;
 use crate::robot_server::script_ports::Port as ScriptPort;
 use crate::robot_server::{dashboard, interpreter, modbus, rtde, script_ports};
+use crate::robotiq_server;
 use crate::world::lock;
 use std::sync::Arc;
 
@@ -41,6 +42,8 @@ pub enum Port {
     Modbus,
     /// Modbus of the gripper.
     Gripper,
+    /// 63352, the socket of a Robotiq gripper's URCap.
+    Robotiq,
 }
 
 impl Port {
@@ -53,14 +56,18 @@ impl Port {
             Port::Interpreter | Port::Modbus => LinkName::Primary,
             Port::Secondary | Port::SecondaryReadOnly => LinkName::Secondary,
             Port::Realtime | Port::RealtimeReadOnly => LinkName::Realtime,
-            Port::Gripper => LinkName::Gripper,
+            Port::Gripper | Port::Robotiq => LinkName::Gripper,
         }
     }
 
     /// True for a server that sends nothing without a request (but a greeting), so that a silent connection
     /// is an idle one.
     pub fn only_answers(self) -> bool {
-        matches!(self, Port::Dashboard | Port::Gripper | Port::Interpreter | Port::Modbus)
+        match self {
+            Port::Dashboard | Port::Gripper | Port::Robotiq | Port::Interpreter | Port::Modbus => true,
+            Port::Rtde | Port::Primary | Port::Secondary | Port::Realtime => false,
+            Port::PrimaryReadOnly | Port::SecondaryReadOnly | Port::RealtimeReadOnly => false,
+        }
     }
 
     /// The server in messages.
@@ -77,6 +84,7 @@ impl Port {
             Port::Interpreter => "interpreter socket",
             Port::Modbus => "controller's Modbus server",
             Port::Gripper => "gripper",
+            Port::Robotiq => "Robotiq URCap",
         }
     }
 }
@@ -108,6 +116,7 @@ enum Kind {
     Interpreter(interpreter::Session),
     Modbus(modbus::Session),
     Gripper(gripper_server::Session),
+    Robotiq(robotiq_server::Session),
 }
 
 /// One connection.
@@ -145,6 +154,7 @@ impl Session {
             Port::Interpreter => (Kind::Interpreter(interpreter::Session::default()), Line::open(None).1),
             Port::Modbus => (Kind::Modbus(modbus::Session::default()), Line::open(None).1),
             Port::Gripper => (Kind::Gripper(gripper_server::Session::default()), Line::open(None).1),
+            Port::Robotiq => (Kind::Robotiq(robotiq_server::Session::default()), Line::open(None).1),
         };
         (Session { port, kind }, inlet)
     }
@@ -174,6 +184,9 @@ impl Session {
                     .receive(&mut lock(&core.world), &faults, bytes)
                     .map(|answers| Outcome::one(answers, false))
             }
+            Kind::Robotiq(session) => session
+                .receive(&mut lock(&core.world), bytes)
+                .map(|answers| Outcome::one(answers.into_bytes(), false)),
         };
         outcome.unwrap_or(Outcome::NONSENSE)
     }
@@ -198,7 +211,8 @@ impl Session {
         let id = match &self.kind {
             Kind::Rtde(session) => session.id(),
             Kind::Script(session) => session.id(),
-            Kind::Dashboard(_) | Kind::Interpreter(_) | Kind::Modbus(_) | Kind::Gripper(_) => return true,
+            Kind::Dashboard(_) | Kind::Interpreter(_) | Kind::Modbus(_) => return true,
+            Kind::Gripper(_) | Kind::Robotiq(_) => return true,
         };
         core.robot.publisher().is_open(id)
     }
@@ -208,7 +222,8 @@ impl Session {
         match self.kind {
             Kind::Rtde(session) => session.close(&core.robot),
             Kind::Script(session) => session.close(&core.robot),
-            Kind::Dashboard(_) | Kind::Interpreter(_) | Kind::Modbus(_) | Kind::Gripper(_) => {}
+            Kind::Dashboard(_) | Kind::Interpreter(_) | Kind::Modbus(_) => {}
+            Kind::Gripper(_) | Kind::Robotiq(_) => {}
         }
     }
 }

@@ -13,8 +13,8 @@ use crate::faults::link::{LinkName, LinkState};
 use crate::faults::{FaultError, Planned};
 use crate::robot_server::line::{Bytes, Inlet};
 use crate::session::{Port, Session};
-use crate::world::World;
 use crate::world::spec::{WorldError, WorldSpec};
+use crate::world::{World, lock};
 use std::collections::{BTreeMap, VecDeque};
 
 /// A connection, by number; numbers are not used again.
@@ -93,7 +93,12 @@ impl Simulator {
     /// A client connects; `None` while no server listens there.
     pub fn connect(&mut self, port: Port) -> Option<ConnectionId> {
         let without_dashboard = self.core.robot.controller().core.config.is_polyscope_x();
-        if self.link(port.link()).down || (port == Port::Dashboard && without_dashboard) {
+        let absent = match port {
+            Port::Dashboard => without_dashboard,
+            Port::Robotiq => !lock(&self.core.world).has_fingers(),
+            _ => false,
+        };
+        if absent || self.link(port.link()).down {
             return None;
         }
         self.last_id += 1;
@@ -146,6 +151,7 @@ fn pass_on(id: ConnectionId, inlet: &mut Inlet, out: &mut VecDeque<Transmission>
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::world::drive::{Drive, EjectorPins};
     use crate::world::spec::GripperSpec;
     use nalgebra::Isometry3;
     use ur_wire::primary::{HEADER, Package};
@@ -279,6 +285,29 @@ mod tests {
             _ => None,
         });
         assert_eq!(versions.collect::<Vec<_>>(), [(10, 12, 3, 4)]);
+    }
+
+    #[test]
+    fn a_script_switches_an_ejector_on_and_sees_its_vacuum_switch() {
+        // In the air the cups reach 12 %.
+        let pins = EjectorPins { vacuum_on: 2, blow_off: None, part_present: Some(4), switches_at: 0.1 };
+        let gripper = GripperSpec { drive: Drive::Ejector(pins), ..GripperSpec::one_cup(0.2) };
+        let world = WorldSpec::bare(Isometry3::translation(-0.75, -0.4, 0.0), gripper);
+        let controller = ControllerConfig { running: true, ..ControllerConfig::ur5e(1) };
+        let mut simulator = Simulator::new(controller, world, 1, Vec::new()).unwrap();
+        let primary = simulator.connect(Port::Primary).unwrap();
+        let script =
+            b"def e():\n set_standard_digital_out(2, True)\n while not get_standard_digital_in(4):\n  \
+                       sync()\n end\n set_standard_digital_out(3, True)\nend\n";
+        simulator.receive(primary, script);
+        let outputs =
+            |simulator: &Simulator| simulator.core().robot.controller().core.registers.digital_outputs;
+        (0..10).for_each(|_| simulator.advance());
+        assert_eq!(outputs(&simulator), 1 << 2);
+        (0..500).for_each(|_| simulator.advance());
+        assert_eq!(outputs(&simulator), 1 << 2 | 1 << 3);
+        let box_of_a_vgc10 = lock(&simulator.core().world).has_compute_box();
+        assert!(!box_of_a_vgc10 && simulator.connect(Port::Robotiq).is_none());
     }
 
     #[test]

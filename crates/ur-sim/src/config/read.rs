@@ -3,6 +3,7 @@
 //! In: the text and its name. Out: the checked configuration of the simulated cell, or every complaint at
 //! once. The deviations of the simulated truth have documented defaults: they are chosen, not measured.
 
+use crate::config::gripper::gripper;
 use crate::config::programs::programs;
 use crate::config::safety::safety;
 use crate::config::software::software;
@@ -11,10 +12,9 @@ use crate::controller::config::SOFTWARE;
 use crate::controller::modes::Control;
 use crate::controller::program_files::ProgramFiles;
 use crate::motion::safety::SafetyLimits;
-use crate::robot_server::ROBOT_API_PORT;
+use crate::robot_server::{ROBOT_API_PORT, ROBOTIQ_PORT};
 use cell_parts::fields::{each, joints_deg, optional, port, required_number, transform};
 use cell_parts::grid::{board, board_apart};
-use cell_parts::gripper::gripper;
 use cell_parts::places::Places;
 use cell_parts::reference::{ReferenceMarkerConfig, check_reference_markers, reference_markers};
 use cell_values::units::rad_from_deg;
@@ -25,7 +25,7 @@ use rearrange::tabletop::decode;
 use rearrange::tabletop::instance::{ObjectSpec, Workspace};
 use rearrange::tabletop::parse::{MarkerUse, unique_names_and_markers, workspace};
 use std::net::IpAddr;
-use ur_arm::kinematics::ARM_MODELS;
+use ur_arm::kinematics::{ARM_MODELS, ArmModel};
 
 /// Keys of the file.
 pub const SIM_KEYS: &[&str] = &[
@@ -102,16 +102,11 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
     let camera = mount(decoder, fields);
     let hand_board =
         optional(decoder, fields, "hand_board", None, |decoder, at| hand_board(decoder, at).map(Some));
-    if let Some(Some(SimHandBoard { board, .. })) = &hand_board {
-        let on_table = numbers_on_table(markers.as_deref(), objects.as_deref());
-        let place = (places.at(&["hand_board", "board"]), "hand_board.board");
-        board_apart(decoder, board.numbers(), on_table.into_iter(), place);
+    if let Some(Some(held)) = &hand_board {
+        apart(decoder, held, numbers_on_table(markers.as_deref(), objects.as_deref()), places);
     }
     let start_pose = fields.required("start_pose_deg", decoder).and_then(|at| joints_deg(decoder, &at));
-    let model = optional(decoder, fields, "model", ARM_MODELS[0], |decoder, at| {
-        let choices: Vec<_> = ARM_MODELS.iter().map(|model| (model.name, *model)).collect();
-        decoder.choice(at, &choices)
-    });
+    let model = optional(decoder, fields, "model", ARM_MODELS[0], model);
     let software = optional(decoder, fields, "controller", SOFTWARE, software);
     let control = optional(decoder, fields, "control_mode", Control::Remote, |decoder, at| {
         decoder.choice(at, CONTROL_MODES)
@@ -119,7 +114,7 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
     let safety = optional(decoder, fields, "safety", SafetyLimits::default(), safety);
     let programs = optional(decoder, fields, "programs", (None, ProgramFiles::default()), programs);
     let errors = optional(decoder, fields, "errors", DEFAULT_ERRORS, errors);
-    let (size, (program_folder, programs)) = (size?, programs?);
+    let (size, (program_folder, programs), (gripper, drive)) = (size?, programs?, gripper?);
     Some(SimFile {
         bind: bind?,
         ports: ports?,
@@ -131,7 +126,8 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
         flange_from_tool: flange_from_tool?,
         camera: camera?,
         hand_board: hand_board?,
-        gripper: gripper?,
+        gripper,
+        drive,
         objects: objects?,
         reference_markers: markers?,
         model: model?,
@@ -143,6 +139,17 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
         programs,
         errors: errors?,
     })
+}
+
+fn model(decoder: &mut Decoder, at: &At) -> Option<ArmModel> {
+    let choices: Vec<_> = ARM_MODELS.iter().map(|model| (model.name, *model)).collect();
+    decoder.choice(at, &choices)
+}
+
+/// No marker is on the hand's board and elsewhere.
+fn apart(decoder: &mut Decoder, held: &SimHandBoard, on_table: Vec<i64>, places: &Places) {
+    let place = (places.at(&["hand_board", "board"]), "hand_board.board");
+    board_apart(decoder, held.board.numbers(), on_table.into_iter(), place);
 }
 
 /// Numbers of the markers that are not on the hand's board.
@@ -173,25 +180,28 @@ fn hand_board(decoder: &mut Decoder, at: &At) -> Option<SimHandBoard> {
 }
 
 fn ports(decoder: &mut Decoder, at: &At) -> Option<SimPorts> {
-    let fields = decoder.map(at, &["modbus", "camera", "control", "controller_modbus", "robot_api"])?;
-    let modbus = port(decoder, &fields, "modbus");
-    let camera = port(decoder, &fields, "camera");
-    let control = port(decoder, &fields, "control");
-    let own = match fields.optional("controller_modbus") {
-        Some(_) => Some(port(decoder, &fields, "controller_modbus")?),
-        None => None,
+    let known = ["modbus", "camera", "control", "controller_modbus", "robot_api", "robotiq"];
+    let fields = decoder.map(at, &known)?;
+    let [modbus, camera, control] = ["modbus", "camera", "control"].map(|key| port(decoder, &fields, key));
+    let mut given = |key| match fields.optional(key) {
+        Some(_) => port(decoder, &fields, key).map(Some),
+        None => Some(None),
     };
-    let robot_api = match fields.optional("robot_api") {
-        Some(_) => port(decoder, &fields, "robot_api")?,
-        None => ROBOT_API_PORT,
+    let (own, robot_api, robotiq) = (given("controller_modbus")?, given("robot_api")?, given("robotiq")?);
+    let ports = SimPorts {
+        modbus: modbus?,
+        camera: camera?,
+        control: control?,
+        controller_modbus: own,
+        robot_api: robot_api.unwrap_or(ROBOT_API_PORT),
+        robotiq: robotiq.unwrap_or(ROBOTIQ_PORT),
     };
-    let (modbus, camera, control) = (modbus?, camera?, control?);
-    let ports = SimPorts { modbus, camera, control, controller_modbus: own, robot_api };
     let taken = [29999, 30001, 30002, 30003, 30004, 30011, 30012, 30013, 30020];
     let mut mine = vec![("modbus", ports.modbus), ("camera", ports.camera), ("control", ports.control)];
     mine.extend(ports.controller_modbus.map(|port| ("controller_modbus", port)));
-    // Where it is not written down it disturbs only controllers that have it; they complain when they start.
-    mine.extend(fields.optional("robot_api").map(|_| ("robot_api", robot_api)));
+    // Where they are not written down they disturb only a controller that has them, when it starts.
+    mine.extend(robot_api.map(|port| ("robot_api", port)));
+    mine.extend(robotiq.map(|port| ("robotiq", port)));
     for (index, (key, port)) in mine.iter().enumerate() {
         if taken.contains(port) || mine.iter().take(index).any(|(_, other)| other == port) {
             let message = format!("port {port} for {key} is taken by another server of the cell");

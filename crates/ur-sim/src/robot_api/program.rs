@@ -1,8 +1,8 @@
 //! The loaded program: `/program/v1` of the Robot API.
 //!
 //! In: names and actions. Out: replies. A name is that of a program's file without folders and ending.
-//! Statuses are assumed; that an action has taken effect when its reply comes is what the vendor's own client
-//! relies on.
+//! Statuses are assumed; that an action has taken effect when its reply comes is what the vendor's own
+//! client relies on.
 
 use crate::controller::Controller;
 use crate::controller::program_files::program_name;

@@ -1,8 +1,8 @@
 //! Robot state and system: `/robotstate/v1` and `/system/v1` of the Robot API.
 //!
 //! In: actions. Out: replies, or what they wait for ([`Goal`]); the words for the modes. Statuses and which
-//! action waits are assumed from clients; that a protective stop is unlocked at once is what the vendor's own
-//! client relies on.
+//! action waits are assumed from clients; that a protective stop is unlocked at once is what the vendor's
+//! own client relies on.
 
 use crate::controller::Controller;
 use crate::controller::pendant::OperationalMode;

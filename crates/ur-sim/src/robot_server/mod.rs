@@ -47,10 +47,15 @@ pub struct RobotPorts {
     pub interpreter: u16,
     /// The controller's own Modbus server, which is not started without.
     pub modbus: Option<u16>,
+    /// The socket of a Robotiq gripper's URCap, which is not started without, nor with other grippers.
+    pub robotiq: Option<u16>,
 }
 
 /// Port of the Robot API on a real controller.
 pub const ROBOT_API_PORT: u16 = 80;
+
+/// Port of a Robotiq gripper's URCap on a real controller.
+pub const ROBOTIQ_PORT: u16 = 63_352;
 
 impl RobotPorts {
     /// Those of a real controller.
@@ -63,6 +68,7 @@ impl RobotPorts {
         read_only: [30011, 30012, 30013],
         interpreter: 30020,
         modbus: None,
+        robotiq: None,
     };
     /// Any that are free.
     pub const ANY: RobotPorts = RobotPorts {
@@ -74,6 +80,7 @@ impl RobotPorts {
         read_only: [0; 3],
         interpreter: 0,
         modbus: Some(0),
+        robotiq: Some(0),
     };
 
     /// All of them higher by `offset`; `None` if there are no such ports.
@@ -88,10 +95,8 @@ impl RobotPorts {
             rtde: up(self.rtde)?,
             read_only: [up(first)?, up(second)?, up(third)?],
             interpreter: up(self.interpreter)?,
-            modbus: match self.modbus {
-                Some(port) => Some(up(port)?),
-                None => None,
-            },
+            modbus: self.modbus.map_or(Some(None), |port| up(port).map(Some))?,
+            robotiq: self.robotiq.map_or(Some(None), |port| up(port).map(Some))?,
         })
     }
 }
@@ -115,4 +120,6 @@ pub struct RobotAddresses {
     pub interpreter: SocketAddr,
     /// The controller's own Modbus server.
     pub modbus: Option<SocketAddr>,
+    /// The socket of a Robotiq gripper's URCap.
+    pub robotiq: Option<SocketAddr>,
 }

@@ -17,6 +17,7 @@ use crate::robot_server::{RobotAddresses, RobotPorts};
 use crate::serve::seats::Seats;
 use crate::serve::stream::LinkStream;
 use crate::session::{Port, Session};
+use crate::world::lock;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
@@ -111,10 +112,9 @@ impl Servers {
         for (port, number) in wanted {
             doors.push((port, listen(port.name(), bind, number).await?));
         }
-        let modbus = match ports.modbus {
-            Some(number) => Some(listen(Port::Modbus.name(), bind, number).await?),
-            None => None,
-        };
+        let modbus = listen_if(Port::Modbus, bind, ports.modbus).await?;
+        let with_fingers = lock(&core.world).has_fingers();
+        let robotiq = listen_if(Port::Robotiq, bind, ports.robotiq.filter(|_| with_fingers)).await?;
         let mut at = wanted.map(|_| SocketAddr::new(bind, 0));
         for (place, (port, door)) in at.iter_mut().zip(doors) {
             *place = door.1;
@@ -127,12 +127,23 @@ impl Servers {
         } else {
             self.take(front, core, Port::Dashboard, shutdown);
         }
-        let modbus = modbus.map(|door| {
+        let [modbus, robotiq] = [(modbus, Port::Modbus), (robotiq, Port::Robotiq)].map(|(door, port)| {
+            let door = door?;
             let address = door.1;
-            self.take(door, core, Port::Modbus, shutdown);
-            address
+            self.take(door, core, port, shutdown);
+            Some(address)
         });
-        Ok(RobotAddresses { dashboard, primary, secondary, realtime, rtde, read_only, interpreter, modbus })
+        Ok(RobotAddresses {
+            dashboard,
+            primary,
+            secondary,
+            realtime,
+            rtde,
+            read_only,
+            interpreter,
+            modbus,
+            robotiq,
+        })
     }
 }
 
@@ -153,6 +164,18 @@ pub async fn listen(
     let listener = TcpListener::bind(address).await.map_err(failed)?;
     let address = listener.local_addr().map_err(failed)?;
     Ok((listener, address))
+}
+
+/// The same for a server that may be absent.
+async fn listen_if(
+    port: Port,
+    bind: IpAddr,
+    number: Option<u16>,
+) -> Result<Option<(TcpListener, SocketAddr)>, ListenError> {
+    match number {
+        Some(number) => Ok(Some(listen(port.name(), bind, number).await?)),
+        None => Ok(None),
+    }
 }
 
 /// Takes connections until shutdown, and ends them with it. While the link is down nothing listens.

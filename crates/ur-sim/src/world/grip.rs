@@ -9,6 +9,7 @@ use crate::world::vacuum::{Channel, VacuumMode};
 use crate::world::{Body, BodyState, Tool, World};
 use cell_values::units::{ATMOSPHERE_PA, GRAVITY};
 use nalgebra::{Isometry3, Point3, Vector3};
+use rearrange::geometry::pose::Pose2;
 
 /// How far the lips give, m.
 const COMPLIANCE_M: f64 = 2e-3;
@@ -105,15 +106,20 @@ impl World {
         if self.bodies[index].is_held() {
             return; // the second channel on the same object
         }
-        let mut beside = self.overlapping(index, 0.0);
         let slip = self.random_offset(self.errors.std_xy_m, self.errors.std_theta_rad);
+        self.hold(index, &tool, slip);
+    }
+
+    /// From now on the object moves with the tool; on the way into its grip it slips so far.
+    pub(super) fn hold(&mut self, index: usize, tool: &Tool, slip: Pose2) {
+        let mut beside = self.overlapping(index, 0.0);
         // Those it comes to touch by slipping are brushed, not pushed.
         let slipped = self.bodies[index].pose().compose(&slip);
         beside.extend(self.overlapping_at(index, &slipped, 0.0));
         let beside = beside.into_iter().map(|(other, _)| other).collect();
         let body = &mut self.bodies[index];
         let seen = tool.table_from_tool.inverse() * body.table_from_object;
-        // The suction shifts the object under the lips: in its own plane, about its own origin.
+        // The grip shifts the object: in its own plane, about its own origin.
         body.state = BodyState::Held { tool_from_object: seen * slip.at_height(0.0), floor_m: 0.0, beside };
         let object = body.id.clone();
         self.record(EventKind::Gripped { object });
@@ -143,14 +149,18 @@ impl World {
             let BodyState::Held { floor_m, .. } = body.state else { continue };
             let standing = body.bottom_m() - floor_m <= STANDING_M;
             let needed_n = body.mass_kg * (tool.acceleration + Vector3::z() * GRAVITY).norm();
-            let carried_n = self.holding_force_n(index);
+            let squeezed_n = self.fingers.as_ref().map_or(0.0, |fingers| fingers.carries_n(index));
+            let carried_n = self.holding_force_n(index) + squeezed_n;
             let sucked = Channel::ALL.into_iter().any(|channel| {
                 let state = &self.channels[channel.index()];
                 state.holds == Some(index) && state.pump.vacuum() >= LET_GO_VACUUM
             });
-            if if standing { !sucked } else { carried_n < needed_n } {
+            if if standing { !sucked && squeezed_n == 0.0 } else { carried_n < needed_n } {
                 for state in self.channels.iter_mut().filter(|state| state.holds == Some(index)) {
                     state.holds = None;
+                }
+                if let Some(fingers) = &mut self.fingers {
+                    fingers.lost(index);
                 }
                 self.land(index, &tool.velocity);
             }
@@ -182,6 +192,7 @@ impl World {
         if !holding {
             keep_deeper(&mut deepest, self.cup_contact(&tool));
         }
+        keep_deeper(&mut deepest, self.finger_contact(&tool, holding));
         keep_deeper(&mut deepest, self.housing_contact(&tool));
         self.pressed_m = deepest.as_ref().map_or(0.0, |contact| contact.depth_m.max(0.0));
         let deepest = deepest.filter(|contact| contact.depth_m > COMPLIANCE_M);
@@ -278,7 +289,7 @@ impl World {
 
 /// Height of `lip` over the top of `body` along its normal, and its place on that top, when it is above or
 /// in it.
-fn over(body: &Body, lip: &Point3<f64>) -> Option<(f64, [f64; 2])> {
+pub(super) fn over(body: &Body, lip: &Point3<f64>) -> Option<(f64, [f64; 2])> {
     if !body.is_resting() && !body.is_held() {
         return None;
     }
@@ -290,7 +301,7 @@ fn over(body: &Body, lip: &Point3<f64>) -> Option<(f64, [f64; 2])> {
     body.section.contains([local.x, local.y], 0.0).then_some((local.z - body.height_m, [local.x, local.y]))
 }
 
-fn keep_deeper(deepest: &mut Option<Contact>, other: Option<Contact>) {
+pub(super) fn keep_deeper(deepest: &mut Option<Contact>, other: Option<Contact>) {
     if let Some(other) = other
         && deepest.as_ref().is_none_or(|best| other.depth_m > best.depth_m)
     {

@@ -1,4 +1,4 @@
-//! The simulated table, its objects and the vacuum gripper: what is true, stepped by the time it is given.
+//! The simulated table, its objects and the gripper: what is true, stepped by the time it is given.
 //!
 //! In: a [`WorldSpec`] and a seed, then the arm's flange pose at every controller frame and the gripper's
 //! commands. Out: true poses (for tests and the final report only), relative vacuum, contacts, events, and
@@ -19,7 +19,10 @@
 //!   stopped here.
 
 pub mod disturb;
+pub mod drive;
+mod ejector;
 pub mod event;
+mod fingers;
 mod grip;
 mod hand_board;
 mod placing;
@@ -27,12 +30,16 @@ mod push;
 pub mod section;
 mod snapshot;
 pub mod spec;
+mod squeeze;
+mod two_finger;
 pub mod vacuum;
 mod view;
 
 use crate::faults::camera::CameraFaults;
 use crate::render::scene::Cells;
+use crate::world::drive::Drive;
 use crate::world::event::{Contact, Event, EventKind};
+use crate::world::fingers::Fingers;
 use crate::world::hand_board::Plate;
 use crate::world::section::Section;
 use crate::world::spec::{
@@ -77,6 +84,7 @@ pub struct World {
     cup_sections: Vec<Arc<Section>>,
     bodies: Vec<Body>,
     channels: [ChannelState; 2],
+    fingers: Option<Fingers>,
     current_limit_ma: u16,
     rng: ChaCha8Rng,
     seed: u64,
@@ -248,6 +256,10 @@ impl World {
                 .iter()
                 .map(|cup| Arc::new(Section::ellipse(cup.diameter_m, cup.diameter_m)))
                 .collect(),
+            fingers: match spec.gripper.drive {
+                Drive::Fingers(fingers) => Some(Fingers::new(fingers)),
+                Drive::Vgc10 | Drive::Ejector(_) => None,
+            },
             gripper: spec.gripper,
             bodies,
             channels: [channel(), channel()],
@@ -286,6 +298,7 @@ impl World {
         }
         self.carry();
         self.run_pumps(dt_s);
+        self.run_fingers(dt_s);
         self.let_go();
         self.steps += 1;
     }

@@ -11,6 +11,7 @@
 use crate::world::event::EventKind;
 use crate::world::placing::TOUCH_M;
 use crate::world::section::Section;
+use crate::world::squeeze::{finger, seen_from_above};
 use crate::world::{BodyState, World};
 use cell_values::units::GRAVITY;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
@@ -70,27 +71,35 @@ impl World {
         let Some(tool) = self.tool else { return Vec::new() };
         // Seen from above the tool's frame is mirrored; its parts are named by outlines that are turned
         // over.
-        let down = |at: &Isometry3<f64>| {
-            let x_axis = at.rotation * Vector3::x();
-            Pose2::new(at.translation.x, at.translation.y, x_axis.y.atan2(x_axis.x))
-        };
         let mut pushers = Vec::new();
         for (cup, section) in self.gripper.cups.iter().zip(&self.cup_sections) {
             let lip = tool.table_from_tool * Isometry3::translation(cup.x_m, cup.y_m, 0.0);
             pushers.push(Pusher {
                 name: "cup".to_owned(),
                 section: section.clone(),
-                pose: down(&lip),
+                pose: seen_from_above(&lip),
                 bottom_m: lip.translation.z,
                 spares: self.held_indices(),
             });
+        }
+        if let Some(fingers) = &self.fingers {
+            for place in fingers.places() {
+                let tip = finger(&tool, place);
+                pushers.push(Pusher {
+                    name: "finger".to_owned(),
+                    section: fingers.section.clone(),
+                    pose: seen_from_above(&tip),
+                    bottom_m: tip.translation.z,
+                    spares: self.held_indices(),
+                });
+            }
         }
         let housing =
             tool.table_from_tool * Isometry3::translation(0.0, 0.0, -self.gripper.body_above_lips_m);
         pushers.push(Pusher {
             name: "gripper".to_owned(),
             section: self.housing_from_above.clone(),
-            pose: down(&housing),
+            pose: seen_from_above(&housing),
             bottom_m: housing.translation.z,
             spares: self.held_indices(),
         });
@@ -201,7 +210,7 @@ impl World {
     }
 
     /// Notes a push, as one event for as long as nothing else happens.
-    fn note_push(&mut self, index: usize, by: &str, by_m: f64) {
+    pub(super) fn note_push(&mut self, index: usize, by: &str, by_m: f64) {
         let object = &self.bodies[index].id;
         if let Some(EventKind::Pushed { object: last, by: pusher, distance_m }) =
             self.events.back_mut().map(|event| &mut event.kind)

@@ -161,6 +161,30 @@ impl Section {
         (centre, (second / area - dot(centre, centre)).max(1e-12))
     }
 
+    /// Extent along x of `frame` of what lies within `half_width` of its x axis; `None` if nothing does.
+    pub fn extent(&self, pose: &Pose2, frame: &Pose2, half_width_m: f64) -> Option<[f64; 2]> {
+        let mut extent: Option<[f64; 2]> = None;
+        let mut reach = |x: f64| {
+            let [least, most] = extent.unwrap_or([x, x]);
+            extent = Some([least.min(x), most.max(x)]);
+        };
+        for part in &self.parts {
+            let part: Vec<[f64; 2]> =
+                placed(part, pose).into_iter().map(|point| frame.inverse_transform(point)).collect();
+            for (a, b) in edges(&part) {
+                if a[1].abs() <= half_width_m {
+                    reach(a[0]);
+                }
+                for border in [-half_width_m, half_width_m] {
+                    if (a[1] - border) * (b[1] - border) < 0.0 {
+                        reach(a[0] + (b[0] - a[0]) * (border - a[1]) / (b[1] - a[1]));
+                    }
+                }
+            }
+        }
+        extent
+    }
+
     /// A point where two sections that overlap touch: the middle of the corners of each that lie in the
     /// other. `None` when there are none, as of two crossed bars.
     pub fn touch(

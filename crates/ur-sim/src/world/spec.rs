@@ -5,6 +5,7 @@
 //! objects and markers in the table frame, cups in the tool frame.
 
 use crate::render::lens::CameraTruth;
+use crate::world::drive::Drive;
 use crate::world::vacuum::Channel;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -137,12 +138,15 @@ impl Default for PlacementErrors {
     }
 }
 
-/// The vacuum gripper on the flange.
+/// The gripper on the flange.
 #[derive(Clone, Debug)]
 pub struct GripperSpec {
-    /// Tool frame (centre of the cup lips, z out of the gripper) in the flange frame.
+    /// What makes it grip.
+    pub drive: Drive,
+    /// Tool frame (centre of the cup lips or between the fingertips, z out of the gripper) in the flange
+    /// frame.
     pub flange_from_tool: Isometry3<f64>,
-    /// The cups.
+    /// The cups; fingers have none.
     pub cups: Vec<Cup>,
     /// Outline of the housing in the tool frame, seen along -z; drawn, and it touches tall objects.
     pub body: Footprint,
@@ -155,6 +159,7 @@ impl GripperSpec {
     /// housing of 50 x 50 mm whose underside is 50 mm above the lip.
     pub fn one_cup(length_m: f64) -> GripperSpec {
         GripperSpec {
+            drive: Drive::Vgc10,
             flange_from_tool: Isometry3::translation(0.0, 0.0, length_m),
             cups: vec![Cup { channel: Channel::A, x_m: 0.0, y_m: 0.0, diameter_m: 0.02 }],
             body: Footprint::Rectangle { length: 0.05, width: 0.05 },

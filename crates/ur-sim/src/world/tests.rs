@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::faults::FaultError;
+use crate::world::drive::Drive;
 use crate::world::grip::YIELD_M;
 use crate::world::spec::{Cup, ForeignBody};
 use crate::world::vacuum::Leak;
@@ -13,6 +14,7 @@ const CUP: f64 = 0.02;
 
 pub(super) fn gripper() -> GripperSpec {
     GripperSpec {
+        drive: Drive::Vgc10,
         flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
         cups: vec![Cup { channel: Channel::A, x_m: 0.0, y_m: 0.0, diameter_m: CUP }],
         body: Footprint::rectangle(0.07, 0.07).unwrap(),
@@ -47,6 +49,15 @@ pub(super) struct Cell {
 
 impl Cell {
     pub(super) fn new(objects: Vec<WorldObject>, errors: PlacementErrors, seed: u64) -> Cell {
+        Cell::with(gripper(), objects, errors, seed)
+    }
+
+    pub(super) fn with(
+        gripper: GripperSpec,
+        objects: Vec<WorldObject>,
+        errors: PlacementErrors,
+        seed: u64,
+    ) -> Cell {
         let spec = WorldSpec {
             table: TableSpec { width_m: 0.5, height_m: 0.5, margin_m: 0.1 },
             base_from_table: Isometry3::from_parts(
@@ -56,7 +67,7 @@ impl Cell {
             objects,
             reference_markers: Vec::new(),
             errors,
-            gripper: gripper(),
+            gripper,
             hand_board: None,
         };
         let mut cell = Cell { world: World::new(spec, seed).unwrap(), now_s: 0.0, at: [0.25, 0.25, 0.2] };
@@ -73,7 +84,7 @@ impl Cell {
         self.world.step(self.now_s, 0.002, &flange);
     }
 
-    fn wait(&mut self, seconds: f64) {
+    pub(super) fn wait(&mut self, seconds: f64) {
         for _ in 0..(seconds / 0.002).round() as usize {
             self.frame(0.0);
         }

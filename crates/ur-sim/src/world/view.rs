@@ -95,6 +95,15 @@ impl World {
                 prints: Vec::new(),
             });
         }
+        for (place, fingers) in self.fingers.iter().flat_map(|it| it.places().map(|place| (place, it))) {
+            prisms.push(Prism {
+                table_from_prism: table_from_tool * Isometry3::translation(place, 0.0, -under_m),
+                section: fingers.section.clone(),
+                height_m: under_m,
+                colour: [40, 40, 44],
+                prints: Vec::new(),
+            });
+        }
         prisms
     }
 }
