@@ -240,7 +240,26 @@ const CELL: &[Claim] = &[
         "a_push_beside_the_middle_turns_the_object",
     ),
     Claim("Stacking", Grade::Absent, "what is set down on something leans and is told as such", ""),
-    Claim("VGC10 over the tool connector, other grippers", Grade::Absent, "", ""),
+    Claim(
+        "Robotiq 2F-85, 2F-140: registers over their URCap's socket (63352)",
+        Grade::Modelled,
+        "as published clients use them; assumed: 3 and 227 when open and closed, 1 s of activation, `?` for \
+         what is unknown, motor current 0",
+        "a_published_clients_calls_activate_and_calibrate_the_gripper",
+    ),
+    Claim(
+        "Fingers: what is between them is centred, held by friction and set down",
+        Grade::Modelled,
+        "shifted, not turned; friction 0.5 and the pads' size assumed",
+        "an_object_between_the_fingers_is_centred_held_carried_and_set_down",
+    ),
+    Claim(
+        "Ejector on digital pins, blow-off, vacuum switch",
+        Grade::Modelled,
+        "pulls as the VGC10's pumps at full power do",
+        "pins_suck_blow_off_and_report_the_part",
+    ),
+    Claim("VGC10 over the tool connector, further grippers", Grade::Absent, "", ""),
     Claim(
         "Colour picture",
         Grade::Modelled,
