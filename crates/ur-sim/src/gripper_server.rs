@@ -211,6 +211,17 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn five_hundred_open_connections_shut_out_no_master() {
+        let (address, _world, _running) = started().await;
+        let mut open = Vec::new();
+        for _ in 0..500 {
+            open.push(TcpStream::connect(address).await.unwrap());
+        }
+        let mut client = client(address).await;
+        assert_eq!(client.read_holding_registers(2, 1).await.unwrap().unwrap(), [500]);
+    }
+
+    #[tokio::test]
     async fn garbage_ends_only_its_own_connection() {
         let (address, _world, _running) = started().await;
         let mut raw = TcpStream::connect(address).await.unwrap();

@@ -29,11 +29,14 @@ use tokio::task::{JoinHandle, JoinSet};
 /// Wait before a port is listened on again after a failure.
 const LISTEN_AGAIN: Duration = Duration::from_millis(10);
 
-/// Connections each port takes at once. At a server that only answers a further one takes the place of the
-/// one that has been silent longest; at the others it is closed.
+/// Connections a server that only answers takes at once. A further one takes the place of the one that has
+/// been silent longest.
 pub const MAX_CONNECTIONS: usize = 32;
 
-/// Connections of such a server that may still be on their way out, times [`MAX_CONNECTIONS`].
+/// The same for servers that send without being asked: many may listen there.
+pub const MAX_LISTENERS: usize = 128;
+
+/// Connections that may still be on their way out, times those that have a place; more wait to be taken.
 const LEAVING: usize = 4;
 
 /// Bytes read at once.
@@ -187,10 +190,8 @@ async fn accept(
 ) {
     let link = core.robot.links.get(port.link()).clone();
     let mut connections = JoinSet::new();
-    let (seats, most) = match port.only_answers() {
-        true => (Some(Seats::new(MAX_CONNECTIONS)), LEAVING * MAX_CONNECTIONS),
-        false => (None, MAX_CONNECTIONS),
-    };
+    let most = if port.only_answers() { MAX_CONNECTIONS } else { MAX_LISTENERS };
+    let seats = Seats::new(most);
     let (mut listener, mut changes) = (Some(listener), link.watch());
     loop {
         let down = changes.borrow_and_update().down;
@@ -200,12 +201,11 @@ async fn accept(
             // The link lives as long as this task, so this is a change.
             _ = changes.changed() => {}
             () = tokio::time::sleep(LISTEN_AGAIN), if listener.is_none() && !down => {}
-            stream = accepted(listener.as_ref()) => {
-                let Some(stream) = stream else { continue };
-                while connections.try_join_next().is_some() {}
-                if connections.len() < most && stream.set_nodelay(true).is_ok() {
-                    let seat = seats.as_ref().map(Seats::take);
-                    connections.spawn(connection(core.clone(), port, LinkStream::new(stream, &link, seat)));
+            _ = connections.join_next(), if !connections.is_empty() => {}
+            stream = accepted(listener.as_ref()), if connections.len() < LEAVING * most => {
+                if let Some(stream) = stream.filter(|stream| stream.set_nodelay(true).is_ok()) {
+                    let stream = LinkStream::new(stream, &link, Some(seats.take()));
+                    connections.spawn(connection(core.clone(), port, stream));
                 }
             }
         }

@@ -1,10 +1,9 @@
-//! Places for connections at a server that only answers: when all are taken, the one that has been silent
-//! longest goes.
+//! Places for connections at a server: when all are taken, the one that has been silent longest goes.
 //!
-//! In: a connection, and a sign of life whenever its client has sent something. Out: a [`Seat`], which is
-//! free again when it is dropped, and the order to leave it. Clients that open connections and forget them
-//! thus shut out no other one, and memory and file handles have a bound. A server that sends without being
-//! asked has no such places: who only reads there is silent and wanted.
+//! In: a connection, and a sign of life whenever its client has sent something or taken what it is sent.
+//! Out: a [`Seat`], which is free again when it is dropped, and the order to leave it. Clients that open
+//! connections and forget them thus shut out no other one, and memory and file handles have a bound. Who
+//! only reads is not silent while data flows.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::task::{Context, Poll, Waker};
@@ -63,7 +62,7 @@ impl Seat {
         }
     }
 
-    /// The client has sent something.
+    /// Something has passed, either way.
     pub fn heard(&self) {
         self.lock().heard = Instant::now();
     }

@@ -137,6 +137,7 @@ pub struct Shortcut {
     lane: Arc<Lane>,
     link: watch::Receiver<LinkState>,
     resets: u64,
+    seat: Option<Arc<Seat>>,
 }
 
 impl Way for Shortcut {
@@ -147,6 +148,9 @@ impl Way for Shortcut {
             return 0;
         }
         let count = self.lane.stream.try_write(bytes).unwrap_or(0);
+        if let Some(seat) = self.seat.as_ref().filter(|_| count > 0) {
+            seat.heard();
+        }
         self.lane.written.fetch_add(count as u64, Ordering::Relaxed);
         count
     }
@@ -194,7 +198,8 @@ impl LinkStream {
 
     /// A way to write to the socket from another thread.
     pub fn shortcut(&self) -> Shortcut {
-        Shortcut { lane: self.lane.clone(), link: self.link.clone(), resets: self.resets }
+        let (link, seat) = (self.link.clone(), self.seat.clone());
+        Shortcut { lane: self.lane.clone(), link, resets: self.resets, seat }
     }
 
     /// Sends what has been held back long enough.
@@ -300,6 +305,9 @@ impl AsyncWrite for LinkStream {
             piece.len()
         };
         this.lane.written.fetch_add(count as u64, Ordering::Relaxed);
+        if let Some(seat) = &this.seat {
+            seat.heard();
+        }
         Poll::Ready(Ok(count))
     }
 

@@ -12,6 +12,7 @@ use ur_wire::primary_state::SubPackage;
 use ur_wire::rtde::{Reply, Request, Splitter as RtdeSplitter, Version};
 use ur_wire::rtde_values::{Leftover, Offer, Recipe, Value, VariableType};
 
+mod places;
 mod sending;
 
 /// Longest a test waits for anything.
@@ -535,40 +536,6 @@ async fn random_bytes_do_not_disturb_the_servers() {
     assert_eq!(dashboard(&bench).await.ask("robotmode").await, "Robotmode: RUNNING");
     let mut rtde = Rtde::connect(&bench, Version::V2).await;
     assert!(rtde.outputs(500.0, &["timestamp"]).await.is_some());
-}
-
-/// A server that only answers closes the connection that has been silent longest, and keeps the others.
-#[tokio::test]
-async fn forgotten_dashboard_connections_shut_out_no_other() {
-    let bench = bench(12, running()).await;
-    let mut busy = dashboard(&bench).await;
-    let mut forgotten = Vec::new();
-    for _ in 0..5 * MAX_CONNECTIONS {
-        forgotten.push(TcpStream::connect(bench.at.dashboard).await.unwrap());
-        assert_eq!(busy.ask("running").await, "Program running: false");
-    }
-    assert_eq!(dashboard(&bench).await.ask("robotmode").await, "Robotmode: RUNNING");
-    let mut rest = Vec::new();
-    // An end or a reset: it has left.
-    let first = forgotten.first_mut().unwrap().read_to_end(&mut rest);
-    let _ = tokio::time::timeout(PATIENCE, first).await.expect("the first still has its place");
-}
-
-/// A server that sends without being asked keeps those that are there.
-#[tokio::test]
-async fn a_full_primary_interface_keeps_its_clients() {
-    let bench = bench(13, running()).await;
-    let mut clients = Vec::new();
-    for _ in 0..MAX_CONNECTIONS {
-        let mut client = Primary::connect(bench.at.primary).await;
-        assert!(client.next().await.is_some());
-        clients.push(client);
-    }
-    assert!(Primary::connect(bench.at.primary).await.next().await.is_none(), "one too many");
-    assert_eq!(bench.shared.publisher().subscribers(Feed::Primary), MAX_CONNECTIONS);
-    for client in &mut clients {
-        assert!(bench.during(client.next()).await.is_some());
-    }
 }
 
 #[tokio::test]
