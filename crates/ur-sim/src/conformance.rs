@@ -78,6 +78,13 @@ const MOTION: &[Claim] = &[
          tool; tool and elbow at planes; numbers assumed",
         "an_arm_that_meets_itself_or_a_safety_plane_stops_and_may_go_back",
     ),
+    Claim(
+        "Conveyor tracking",
+        Grade::Modelled,
+        "a belt by its encoder, straight or round; assumed: the count's filter, and that an arm which is held \
+         stays behind",
+        "moves_are_carried_along_by_the_conveyor_until_it_is_left",
+    ),
     Claim("Momentum and power limits", Grade::Absent, "", ""),
     Claim(
         "UR3e, UR5e, UR10e, UR16e and others by their DH table",

@@ -88,21 +88,22 @@ pub const TABLE: &[Entry] = entries![
     Absent path_offset_get(type) "";
     Absent path_offset_set_max_offset(transLimit, rotLimit) "";
     Absent path_offset_set_alpha_filter(alpha) "";
-    Absent track_conveyor_linear(direction, ticks_per_meter; encoder_index) "";
-    Absent track_conveyor_circular(center, ticks_per_revolution; rotate_tool, encoder_index) "";
-    Absent stop_conveyor_tracking(; a) "";
+    Modelled track_conveyor_linear(direction, ticks_per_meter; encoder_index) "while the arm is held the belt \
+        leaves it behind";
+    Modelled track_conveyor_circular(center, ticks_per_revolution; rotate_tool, encoder_index) "likewise";
+    Modelled stop_conveyor_tracking(; a) "";
     Modelled tool_wrench_limit_set(frame_offset; Fx, Fy, Fz, Mx, My, Mz) "accepted; no motion is slowed by \
         it";
     Modelled tool_wrench_limit_disable() "accepted";
-    Absent conveyor_pulse_decode(type, A; B) "";
-    Absent get_conveyor_tick_count() "";
-    Absent set_conveyor_tick_count(tick_count; absolute_encoder_resolution) "";
-    Modelled encoder_enable_pulse_decode(encoder_index, decoder_type, A, B) "accepted; no encoder is wired";
-    Modelled encoder_enable_set_tick_count(encoder_index, range_id) "accepted; no encoder is wired";
-    Modelled encoder_set_tick_count(encoder_index, count) "the count stays as scripts set it";
-    Modelled encoder_get_tick_count(encoder_index; opt) "the count that scripts have set, raw or not";
-    Modelled encoder_unwind_delta_tick_count(encoder_index, delta_tick_count) "16 bit counters, whatever \
-        range was set";
+    Modelled conveyor_pulse_decode(type, A; B) "up to 250 Hz";
+    Modelled get_conveyor_tick_count() "the filter is assumed";
+    Real set_conveyor_tick_count(tick_count; absolute_encoder_resolution) "";
+    Modelled encoder_enable_pulse_decode(encoder_index, decoder_type, A, B) "up to 250 Hz; a quadrature \
+        encoder counts four times a period, which is assumed";
+    Real encoder_enable_set_tick_count(encoder_index, range_id) "";
+    Real encoder_set_tick_count(encoder_index, count) "";
+    Modelled encoder_get_tick_count(encoder_index; opt) "the filter is assumed";
+    Real encoder_unwind_delta_tick_count(encoder_index, delta_tick_count) "";
     // Force.
     Modelled force_mode(task_frame, selection_vector, wrench, type, limits) "speed in proportion to the \
         missing force";
@@ -142,7 +143,7 @@ pub const TABLE: &[Entry] = entries![
     Real get_target_joint_accelerations() "";
     Real get_actual_tcp_pose() "";
     Real get_target_tcp_pose() "";
-    Real get_target_tcp_pose_along_path() "there are no path offsets";
+    Real get_target_tcp_pose_along_path() "without the conveyor; there are no path offsets";
     Real get_actual_tcp_speed() "";
     Real get_target_tcp_speed() "";
     Real get_target_tcp_speed_along_path() "there are no path offsets";

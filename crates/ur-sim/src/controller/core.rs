@@ -6,6 +6,7 @@
 
 use crate::controller::compliance::{Compliance, ForceSettings};
 use crate::controller::config::ControllerConfig;
+use crate::controller::encoders::Conveyor;
 use crate::controller::interpreter_mode::Interpreter;
 use crate::controller::modes::Modes;
 use crate::controller::pendant::Pendant;
@@ -89,6 +90,8 @@ pub struct Core {
     pub(super) watchdogs: Vec<Watchdog>,
     /// How deep the arm was last where its safety system does not let it be, m.
     pub(super) intrusion_m: f64,
+    /// The conveyor that is tracked.
+    pub(super) conveyor: Option<Conveyor>,
     /// Error code and reason of a protective stop that this frame ends with.
     pub(super) stop_asked: Option<(i32, String)>,
 }
@@ -124,6 +127,7 @@ impl Core {
             orphaned: false,
             watchdogs: Vec::new(),
             intrusion_m: 0.0,
+            conveyor: None,
             stop_asked: None,
             config,
             secondary: false,

@@ -8,8 +8,8 @@ use crate::controller::modes::STOP_BY_PROGRAM_CODE;
 use crate::controller::registers::Input;
 use crate::controller::watchdog::{Watchdog, WatchdogAction};
 use crate::controller::{
-    force_functions, interpreter, io_functions, motion_functions, rpc_functions, setting_functions,
-    socket_functions,
+    conveyor_functions, force_functions, interpreter, io_functions, motion_functions, rpc_functions,
+    setting_functions, socket_functions,
 };
 use crate::motion::FRAMES_PER_SECOND;
 use cell_values::units::Joints;
@@ -29,6 +29,7 @@ impl Host for Core {
             return Err(format!("{}: a secondary program must not move the arm", call.name));
         }
         let slow = motion_functions::call(self, &mut call)
+            .or_else(|| conveyor_functions::call(self, &call))
             .or_else(|| socket_functions::call(self, &mut call))
             .or_else(|| interpreter::call(self, &call))
             .or_else(|| rpc_functions::call(self, &mut call))
@@ -237,12 +238,10 @@ fn state(core: &Core, call: &Call<'_>) -> Option<Result<Value, String>> {
         }
         "get_actual_joint_speeds" | "get_target_joint_speeds" => list(mover.qd()),
         "get_target_joint_accelerations" => list(mover.qdd()),
-        "get_actual_tcp_pose" | "get_target_tcp_pose" | "get_target_tcp_pose_along_path" => {
-            Value::Pose(core.tcp_pose())
-        }
-        "get_actual_tcp_speed" | "get_target_tcp_speed" | "get_target_tcp_speed_along_path" => {
-            Value::numbers(mover.tcp_speed().iter().copied())
-        }
+        "get_target_tcp_pose_along_path" => Value::Pose(ur_pose_from_isometry(&mover.path_tcp())),
+        "get_actual_tcp_pose" | "get_target_tcp_pose" => Value::Pose(core.tcp_pose()),
+        "get_target_tcp_speed_along_path" => Value::numbers(mover.path_speed().iter().copied()),
+        "get_actual_tcp_speed" | "get_target_tcp_speed" => Value::numbers(mover.tcp_speed().iter().copied()),
         "get_actual_tool_flange_pose" => Value::Pose(ur_pose_from_isometry(&core.base_from_flange())),
         "is_steady" => Value::Bool(mover.still_frames() >= STEADY_FRAMES),
         "get_steptime" => Value::Float(1.0 / FRAMES_PER_SECOND as f64),

@@ -12,9 +12,13 @@ pub mod compliance;
 
 pub mod config;
 
+pub mod conveyor_functions;
+
 pub mod core;
 
 pub mod drives;
+
+pub mod encoders;
 
 pub mod external_control;
 
@@ -133,6 +137,7 @@ impl Controller {
         let safe = self.core.modes.motion_allowed();
         self.core.mover.set_ramp(if safe { SOFT_RAMP_SECONDS } else { HARD_RAMP_SECONDS });
         let held = self.programs.paused() || !safe;
+        self.core.run_conveyor(held);
         let scaling = if held { 0.0 } else { self.core.registers.speed_fraction() };
         let guided = self.core.pendant.freedrive && safe && self.programs.name().is_none();
         self.core.yield_to_forces(if guided { DRAWN_UP } else { [0.0; 6] });

@@ -38,7 +38,10 @@ pub const MOVES: &[&str] = &[
 /// True for built-ins that move the arm or decide how it gives way.
 pub fn takes_the_arm(name: &str) -> bool {
     let others = ["stopj", "stopl", "set_pos", "force_mode", "freedrive_mode", "teach_mode", "screw_driving"];
-    MOVES.contains(&name) || others.contains(&name)
+    MOVES.contains(&name)
+        || others.contains(&name)
+        || name.contains("conveyor_tracking")
+        || name.starts_with("track_conveyor")
 }
 
 /// What `optimovej` and `optimovel` take as the fastest acceleration: rad/s2 and m/s2.

@@ -89,6 +89,8 @@ const COMPUTED: &[(&str, Compute)] = &[
     ("payload_cog", |c| Value::Vector3D(c.core.payload.centre)),
     ("payload_inertia", |c| Value::Vector6D(c.core.payload.inertia)),
     ("target_gravity", |c| Value::Vector3D(c.core.payload.gravity)),
+    ("encoder0_raw", |c| Value::Int32(c.core.settings.encoders[0].raw())),
+    ("encoder1_raw", |c| Value::Int32(c.core.settings.encoders[1].raw())),
     ("script_control_line", |c| Value::Uint32(c.programs.line())),
 ];
 

@@ -387,7 +387,10 @@ fn ended(program: &Program, core: &mut Core) {
     core.watchdogs.clear();
     core.compliance = None;
     core.sockets.close_all();
-    if core.mover.stands() {
+    core.conveyor = None;
+    if core.mover.tracks() && !core.mover.stands() {
+        core.mover.stop_tracking(DEFAULT_STOP);
+    } else if core.mover.stands() {
         // A move that was paused must not go on under the next program.
         core.mover.freeze();
     } else {

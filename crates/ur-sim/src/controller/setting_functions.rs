@@ -1,5 +1,4 @@
-//! Built-ins that set something and read it back: flags, ports, Modbus signals, encoders, configuration of
-//! inputs.
+//! Built-ins that set something and read it back: flags, ports, Modbus signals, configuration of inputs.
 //!
 //! In: calls from running programs. Out: values, or the message of a runtime exception for an address or
 //! name that does not exist. Nothing is wired to the simulated control box: configuration that would act on
@@ -39,8 +38,6 @@ const ACCEPTED: &[&str] = &[
     "set_runstate_tool_digital_output_to_value",
     "set_runstate_standard_analog_output_to_value",
     "set_runstate_gp_boolean_output_to_value",
-    "encoder_enable_pulse_decode",
-    "encoder_enable_set_tick_count",
     "modbus_set_signal_update_frequency",
     "modbus_set_runstate_dependent_choice",
     "modbus_set_digital_input_action",
@@ -83,7 +80,7 @@ pub fn call(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
             core.settings.base_acceleration = acceleration;
             Ok(Value::Nothing)
         }),
-        _ => return signals(core, call).or_else(|| encoders(core, call)),
+        _ => return signals(core, call),
     })
 }
 
@@ -165,29 +162,4 @@ fn signals(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
         }),
         _ => return None,
     })
-}
-
-fn encoders(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
-    if !matches!(
-        call.name,
-        "encoder_set_tick_count" | "encoder_get_tick_count" | "encoder_unwind_delta_tick_count"
-    ) {
-        return None;
-    }
-    let encoder = given(call, 0, Value::integer).and_then(|number| {
-        let ticks = usize::try_from(number).ok().and_then(|n| core.settings.ticks.get_mut(n));
-        ticks.ok_or_else(|| format!("{}: there is no encoder {number}", call.name))
-    });
-    Some(encoder.and_then(|ticks| match call.name {
-        "encoder_get_tick_count" => Ok(Value::Float(*ticks)),
-        "encoder_set_tick_count" => {
-            *ticks = given(call, 1, Value::number)?;
-            Ok(Value::Nothing)
-        }
-        // The shorter way round a 16 bit counter.
-        _ => {
-            let delta = given(call, 1, Value::number)?;
-            Ok(Value::Float((delta + 32_768.0).rem_euclid(65_536.0) - 32_768.0))
-        }
-    }))
 }

@@ -2,6 +2,7 @@
 //!
 //! In and out: the functions of `setting_functions`. Bounded: names and addresses are checked there.
 
+use crate::controller::encoders::Encoder;
 use std::collections::HashMap;
 
 /// Flags of a program.
@@ -21,8 +22,10 @@ pub struct Settings {
     pub split_time: [u16; 5],
     /// Values of Modbus signals, by name.
     pub signals: HashMap<String, i32>,
-    /// Tick counts of the two encoders.
-    pub ticks: [f64; 2],
+    /// The two encoders.
+    pub encoders: [Encoder; 2],
+    /// Range of the first one that `set_conveyor_tick_count` has set.
+    pub conveyor_range: Option<i32>,
     /// Acceleration of the base, m/s2 in the base frame: the joint moments feel it.
     pub base_acceleration: [f64; 3],
 }
@@ -34,7 +37,8 @@ impl Default for Settings {
             port_registers: HashMap::new(),
             split_time: [0; 5],
             signals: HashMap::new(),
-            ticks: [0.0; 2],
+            encoders: Default::default(),
+            conveyor_range: None,
             base_acceleration: [0.0; 3],
         }
     }

@@ -6,6 +6,8 @@
 //! line in joint space or a line, circle or rounded corner in tool space ([`segment`], [`tool_path`]), and a
 //! blend is the end of one segment and the start of the next running at the same time ([`mover`]).
 
+pub mod belt;
+
 pub mod dynamics;
 
 pub mod mover;

@@ -10,6 +10,7 @@
 //! equal acceleration `a` that meet at an angle, acceleration is at most `a` times the difference of the two
 //! unit directions (that of a parabola).
 
+use crate::motion::belt::Carried;
 use crate::motion::dynamics::tool_jacobian;
 use crate::motion::segment::Segment;
 use crate::motion::{Arm, FRAME_SECONDS};
@@ -96,6 +97,8 @@ pub struct Mover {
     drift: Vector6<f64>,
     /// How far the segments' joint positions have drifted, rad.
     drifted: [f64; 6],
+    /// A conveyor that carries the arm along; `q` is then where its path is.
+    carried: Option<Carried>,
 }
 
 impl Mover {
@@ -119,12 +122,18 @@ impl Mover {
             limiter: 1.0,
             drift: Vector6::zeros(),
             drifted: [0.0; 6],
+            carried: None,
         }
     }
 
     /// Joint positions.
     pub fn q(&self) -> Joints {
-        self.q
+        self.carried.as_ref().map_or(self.q, |carried| carried.q)
+    }
+
+    /// The TCP in the base frame as it would be without a conveyor.
+    pub fn path_tcp(&self) -> Isometry3<f64> {
+        self.carried.as_ref().map_or_else(|| self.tcp(), |_| self.arm.tcp(&self.q))
     }
 
     /// The flange in the base frame.
@@ -180,7 +189,7 @@ impl Mover {
 
     /// Speed of the TCP in the base frame: m/s, rad/s.
     pub fn tcp_speed(&self) -> Vector6<f64> {
-        tool_jacobian(&self.arm.dh, &self.arm.flange_from_tcp, &self.q) * Vector6::from(self.qd)
+        tool_jacobian(&self.arm.dh, &self.arm.flange_from_tcp, &self.q()) * Vector6::from(self.qd)
     }
 
     /// True once the program may go on: the move has ended, or its blend begins with the next frame.
@@ -260,6 +269,7 @@ impl Mover {
 
     /// Ends whatever the arm does at once, as the brakes do.
     pub fn freeze(&mut self) {
+        self.settle_on_path();
         self.task = Task::Stand;
         self.qd = [0.0; 6];
         self.qdd = [0.0; 6];
@@ -268,6 +278,7 @@ impl Mover {
     }
 }
 
+mod carried;
 mod commands;
 mod frame;
 mod tool_speed;

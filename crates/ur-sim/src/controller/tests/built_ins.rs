@@ -231,15 +231,103 @@ fn settings_are_kept_and_unknown_ones_refused() {
                   textmsg(read_port_register(128))\n \
                   modbus_add_signal(\"1.2.3.4\", 255, 5, 0, \"valve\")\n \
                   modbus_set_output_signal(\"valve\", True)\n \
-                  textmsg(modbus_get_signal_status(\"valve\"))\n textmsg(encoder_unwind_delta_tick_count(0, \
+                  textmsg(modbus_get_signal_status(\"valve\"))\n encoder_enable_set_tick_count(0, 2)\n textmsg(encoder_unwind_delta_tick_count(0, \
                   -65530))\n \
                   set_standard_digital_input_action(0, \"default\")\n set_tool_communication(True, 115200, \
                   1, 1, 1.0, 3.5)\n \
                   get_flag(99)\nend\n";
     assert_eq!(
         said(script),
-        ["text:True", "text:7", "text:1", "text:6", "exception 12:2 get_flag: there is no flag 99"]
+        ["text:True", "text:7", "text:1", "text:6", "exception 13:2 get_flag: there is no flag 99"]
     );
+}
+
+/// 2 ticks a frame, 10000 ticks a metre: a belt at 0.1 m/s along y.
+const BELT: &str = "def b():\n thread feed():\n  n = 0\n  while True:\n   encoder_set_tick_count(0, n)\n   n = \
+                    n + 2\n   sync()\n  end\n end\n encoder_enable_set_tick_count(0, 0)\n \
+                    encoder_set_tick_count(0, 0)\n run feed()\n sleep(1)\n \
+                    track_conveyor_linear(p[0,2,0,0,0,0], 10000)\n a = get_target_tcp_pose_along_path()\n \
+                    movel(pose_add(a, p[0,0,0.05,0,0,0]))\n sleep(1)\n \
+                    textmsg(pose_dist(get_target_tcp_pose_along_path(), pose_add(a, p[0,0,0.05,0,0,0])) < \
+                    0.000001)\n set_digital_out(1, True)\n stop_conveyor_tracking(10)\nend\n";
+
+#[test]
+fn moves_are_carried_along_by_the_conveyor_until_it_is_left() {
+    let mut controller = running();
+    upload(&mut controller, BELT);
+    controller.frame();
+    let start = controller.core.mover.tcp().translation.vector;
+    step_until(&mut controller, |c| c.core.mover.tracks());
+    let began = controller.core.step;
+    step_until(&mut controller, |c| c.core.registers.digital_outputs & 2 != 0);
+    let seconds = (controller.core.step - began) as f64 * 0.002;
+    let moved = controller.core.mover.tcp().translation.vector - start;
+    // The filtered count lags behind no steady motion.
+    assert!((moved - nalgebra::Vector3::new(0.0, 0.1 * seconds, 0.05)).norm() < 1e-3, "{moved} {seconds}");
+    step_until(&mut controller, stopped);
+    assert!(controller.core.mover.stands() && !controller.core.mover.tracks());
+    assert!(messages(&mut controller).contains(&"text:True".to_owned()));
+    assert_eq!(controller.core.settings.encoders[0].raw() % 2, 0);
+}
+
+#[test]
+fn an_arm_that_is_held_stays_behind_the_conveyor_and_goes_on_from_there() {
+    let mut controller = running();
+    upload(&mut controller, BELT);
+    controller.frame();
+    let speed = |c: &Controller| c.core.mover.tcp_speed()[1];
+    step_until(&mut controller, |c| (speed(c) - 0.1).abs() < 1e-4);
+    controller.protective_stop("test");
+    (0..500).for_each(|_| controller.frame());
+    let stood = controller.core.mover.tcp().translation.vector;
+    controller.frame();
+    assert_eq!(controller.core.mover.tcp().translation.vector, stood);
+    controller.unlock_at_once();
+    let Controller { core, programs } = &mut controller;
+    assert!(programs.play(core));
+    let mut fastest = 0.0f64;
+    while !stopped(&controller) {
+        controller.frame();
+        fastest = fastest.max(speed(&controller));
+    }
+    assert!((0.09..0.11).contains(&fastest), "{fastest}");
+}
+
+#[test]
+fn a_program_that_ends_leaves_its_round_conveyor() {
+    let mut controller = running();
+    let script = "def c():\n set_conveyor_tick_count(0)\n n = 0\n \
+                  track_conveyor_circular(p[0,0,0,0,0,0], 1000, True)\n while n < 125:\n  n = n + 1\n  \
+                  set_conveyor_tick_count(n)\n  sleep(0.008)\n end\n sleep(1)\nend\n";
+    upload(&mut controller, script);
+    controller.frame();
+    let start = controller.core.mover.tcp();
+    step_until(&mut controller, stopped);
+    (0..100).for_each(|_| controller.frame());
+    assert!(!controller.core.mover.tracks() && controller.core.mover.stands());
+    // An eighth of a revolution about the base.
+    let turn = nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::z_axis(), PI / 4.0);
+    let at = controller.core.mover.tcp();
+    assert!((at.translation.vector - turn * start.translation.vector).norm() < 1e-3, "{at}");
+    assert!(at.rotation.angle_to(&(turn * start.rotation)) < 1e-3);
+}
+
+#[test]
+fn what_is_no_conveyor_or_encoder_is_refused() {
+    for (call, refusal) in [
+        ("track_conveyor_linear(p[0,0,0,1,0,0], 1000)", "a conveyor has a direction"),
+        ("track_conveyor_linear(p[1,0,0,0,0,0], 0)", "0 ticks are no measure"),
+        ("track_conveyor_circular(p[1,0,0,0,0,0], 10, False, 2)", "there is no encoder 2"),
+        ("encoder_enable_pulse_decode(0, 1, 8, 12)", "pin 12 takes no pulses"),
+        ("encoder_enable_pulse_decode(0, 5, 8, 9)", "there is no decoder 5"),
+        ("encoder_enable_set_tick_count(0, 5)", "there is no range 5"),
+        ("set_conveyor_tick_count(256, 1)", "out of the encoder's range"),
+        ("stop_conveyor_tracking(0)", "an acceleration is positive"),
+    ] {
+        let said = said(&format!("def r():\n {call}\nend\n"));
+        assert!(said.len() == 1 && said[0].contains(refusal), "{call}: {said:?}");
+    }
+    assert_eq!(said("def r():\n conveyor_pulse_decode(0, 0)\n stop_conveyor_tracking()\nend\n"), [""; 0]);
 }
 
 #[test]

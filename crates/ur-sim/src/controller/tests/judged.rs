@@ -103,7 +103,6 @@ const LINES: &[(&str, &str)] = &[
         "True",
     ),
     ("get_freedrive_status()", "0"),
-    ("encoder_unwind_delta_tick_count(0, -65530)", "6"),
     // Registers, inputs and outputs.
     ("[read_input_integer_register(30), read_input_float_register(31)]", "[-7, 2.5]"),
     ("read_input_boolean_register(70)", "True"),
@@ -121,6 +120,10 @@ const LINES: &[(&str, &str)] = &[
 
 /// Statements that change something, then an expression that shows it.
 const CHANGES: &[(&str, &str, &str)] = &[
+    ("encoder_enable_set_tick_count(0, 2)", "encoder_unwind_delta_tick_count(0, -65530)", "6"),
+    ("encoder_enable_pulse_decode(1, 1, 8, 9)", "encoder_unwind_delta_tick_count(1, -65530)", "6"),
+    ("encoder_set_tick_count(0, 77)", "encoder_get_tick_count(0, opt=\"raw\")", "77"),
+    ("set_conveyor_tick_count(300, 2)", "encoder_get_tick_count(0, opt=\"raw\")", "300"),
     ("set_digital_out(2, True)", "get_digital_out(2) and get_standard_digital_out(2)", "True"),
     ("set_standard_digital_out(2, False)", "get_digital_out(2)", "False"),
     ("set_configurable_digital_out(5, True)", "get_configurable_digital_out(5)", "True"),

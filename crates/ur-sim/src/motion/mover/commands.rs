@@ -84,7 +84,7 @@ impl Mover {
         let Task::Segments(segments) = &self.task else { return None };
         let only = segments.back().filter(|_| segments.len() == 1)?;
         let handover = only.segment.handover(only.time)?;
-        let path = ToolPath::corner(&self.tcp(), &handover.direction, handover.ahead, to)?;
+        let path = ToolPath::corner(&self.path_tcp(), &handover.direction, handover.ahead, to)?;
         Some((path, handover.speed))
     }
 
@@ -134,7 +134,7 @@ impl Mover {
         {
             return (last.segment.target(), (last.segment.duration() - last.time).max(0.0));
         }
-        if self.stands() {
+        if self.stands() || (self.tracks() && self.has_braked()) {
             self.task = Task::Segments(VecDeque::new());
             return (self.q, 0.0);
         }

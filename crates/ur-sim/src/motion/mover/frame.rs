@@ -26,13 +26,18 @@ impl Mover {
         self.drive +=
             (drive - self.drive).clamp(-FRAME_SECONDS / SOFT_RAMP_SECONDS, FRAME_SECONDS / SOFT_RAMP_SECONDS);
         let next = self.next_position().and_then(|next| self.give_way(next));
-        match next.and_then(|next| self.check(&next).map(|()| next)) {
-            Ok(next) => {
-                let flange = if next == self.q { self.flange } else { forward(&self.arm.dh, &next) };
+        let placed = next.and_then(|next| Ok((next, self.on_belt(&next)?)));
+        match placed.and_then(|(next, actual)| self.check(&actual).map(|()| (next, actual))) {
+            Ok((next, actual)) => {
+                let before = self.q();
+                let flange = if actual == before { self.flange } else { forward(&self.arm.dh, &actual) };
                 self.limit_tool_speed(&flange);
-                let qd: [f64; 6] = std::array::from_fn(|i| (next.0[i] - self.q.0[i]) / FRAME_SECONDS);
+                let qd: [f64; 6] = std::array::from_fn(|i| (actual.0[i] - before.0[i]) / FRAME_SECONDS);
                 self.qdd = std::array::from_fn(|i| (qd[i] - self.qd[i]) / FRAME_SECONDS);
                 (self.q, self.flange, self.qd) = (next, flange, qd);
+                if let Some(carried) = &mut self.carried {
+                    carried.q = actual;
+                }
                 self.still_frames = if self.stands() { self.still_frames.saturating_add(1) } else { 0 };
                 Ok(())
             }
@@ -62,8 +67,9 @@ impl Mover {
     }
 
     fn check(&self, next: &Joints) -> Result<(), MotionFault> {
+        let before = self.q();
         for joint in 0..6 {
-            let speed = (next.0[joint] - self.q.0[joint]) / FRAME_SECONDS;
+            let speed = (next.0[joint] - before.0[joint]) / FRAME_SECONDS;
             if speed.is_nan() || speed.abs() > self.arm.joint_speed[joint] * 1.05 {
                 return Err(MotionFault::JointSpeed { joint, speed });
             }
