@@ -30,6 +30,9 @@ const BODY_LIMIT: usize = 2 << 20;
 const LOOK_EVERY: Duration = Duration::from_millis(2);
 const WAIT_LIMIT: Duration = Duration::from_secs(60);
 
+/// How long a request under way may take when the server ends: who sends it may have stopped on the way.
+const LAST_WORDS: Duration = Duration::from_secs(1);
+
 #[derive(Clone)]
 struct Api {
     robot: Arc<RobotShared>,
@@ -52,12 +55,16 @@ pub async fn serve(
         .layer(DefaultBodyLimit::max(BODY_LIMIT))
         .with_state(Api { robot, stopped: stopped.clone() });
     let listener = LinkListener { listener, link, seats: Seats::new(connections) };
-    let mut stop = stopped;
-    let end = async move {
-        // An error means that the sender is gone, which is an end too.
-        let _ = stop.wait_for(|stop| *stop).await;
-    };
-    axum::serve(listener, router).with_graceful_shutdown(end).await
+    let serving = axum::serve(listener, router).with_graceful_shutdown(until(stopped.clone()));
+    tokio::select! {
+        served = async { serving.await } => served,
+        () = async { until(stopped).await; tokio::time::sleep(LAST_WORDS).await } => Ok(()),
+    }
+}
+
+/// An error means that the sender is gone, which is an end too.
+async fn until(mut stopped: watch::Receiver<bool>) {
+    let _ = stopped.wait_for(|stop| *stop).await;
 }
 
 async fn handle(

@@ -116,7 +116,7 @@ fn refusal(controller: &Controller, name: &str, urpx: &Urpx, replaces: bool) -> 
         true if active && loaded_name(controller) == Some(name) => {
             Some(Reply::refused(409, "Program is loaded and active", &format!("{name:?}")))
         }
-        _ if count >= MAX_UPLOADS || bytes + urpx.document.len() > MAX_BYTES => {
+        _ if (!exists && count >= MAX_UPLOADS) || bytes + urpx.document.len() > MAX_BYTES => {
             Some(Reply::refused(507, "Insufficient storage", "the simulator keeps no more programs"))
         }
         _ => None,

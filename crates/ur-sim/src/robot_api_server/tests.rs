@@ -7,6 +7,7 @@ use crate::robot_server::RobotPorts;
 use crate::serve::{MAX_CONNECTIONS, Servers};
 use crate::world::empty_world;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use tokio::io::AsyncWriteExt;
 use tokio::net::TcpStream;
 
 struct Bench {
@@ -65,6 +66,19 @@ async fn a_request_that_waits_does_not_hold_up_the_end() {
     }
     bench.stop.send_replace(true);
     assert_eq!(request.await.unwrap().0, 504);
+    bench.servers.stopped().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_request_that_is_never_sent_whole_does_not_hold_up_the_end() {
+    let bench = bench().await;
+    let mut half = TcpStream::connect(bench.at).await.unwrap();
+    half.write_all(b"PUT /universal-robots HTTP/1.1\r\nHost: sim\r\nContent-Length: 10\r\n\r\n{")
+        .await
+        .unwrap();
+    // Answered, so the first half has been taken in.
+    put(bench.at, STATE, br#"{"action": "POWER_OFF"}"#.to_vec()).await;
+    bench.stop.send_replace(true);
     bench.servers.stopped().await;
 }
 
