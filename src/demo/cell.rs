@@ -233,6 +233,7 @@ pub fn sim_file(instance: &Instance, config: &CellConfig, choice: &DemoChoice) -
         reference_markers: config.reference_markers.clone(),
         model: ARM_MODELS[0],
         software: SOFTWARE,
+        encoders: [0.0; 2],
         start_pose: config.park_pose,
         control: Control::Remote,
         safety: SafetyLimits::default(),

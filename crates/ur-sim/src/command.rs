@@ -301,6 +301,7 @@ fn controller_config(file: &SimFile) -> ControllerConfig {
     ControllerConfig {
         start: file.start_pose,
         version: file.software,
+        encoders: file.encoders,
         control: file.control,
         safety: file.safety.clone(),
         programs: file.programs.clone(),

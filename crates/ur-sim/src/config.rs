@@ -59,6 +59,8 @@ pub struct SimFile {
     pub model: ArmModel,
     /// Software of the controller: major, minor, bug fix, build; PolyScope X from 10 on.
     pub software: [u32; 4],
+    /// Ticks a second that come from the wires of the two encoders.
+    pub encoders: [f64; 2],
     /// From where the arm is commanded at the start.
     pub control: Control,
     /// Safety configuration of the controller.

@@ -6,7 +6,7 @@
 use crate::config::gripper::gripper;
 use crate::config::programs::programs;
 use crate::config::safety::safety;
-use crate::config::software::software;
+use crate::config::software::controller;
 use crate::config::{SimErrors, SimFile, SimHandBoard, SimMount, SimPorts};
 use crate::controller::config::SOFTWARE;
 use crate::controller::modes::Control;
@@ -107,7 +107,7 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
     }
     let start_pose = fields.required("start_pose_deg", decoder).and_then(|at| joints_deg(decoder, &at));
     let model = optional(decoder, fields, "model", ARM_MODELS[0], model);
-    let software = optional(decoder, fields, "controller", SOFTWARE, software);
+    let controller = optional(decoder, fields, "controller", (SOFTWARE, [0.0; 2]), controller);
     let control = optional(decoder, fields, "control_mode", Control::Remote, |decoder, at| {
         decoder.choice(at, CONTROL_MODES)
     });
@@ -115,6 +115,7 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
     let programs = optional(decoder, fields, "programs", (None, ProgramFiles::default()), programs);
     let errors = optional(decoder, fields, "errors", DEFAULT_ERRORS, errors);
     let (size, (program_folder, programs), (gripper, drive)) = (size?, programs?, gripper?);
+    let (software, encoders) = controller?;
     Some(SimFile {
         bind: bind?,
         ports: ports?,
@@ -132,7 +133,8 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
         reference_markers: markers?,
         model: model?,
         start_pose: start_pose?,
-        software: software?,
+        software,
+        encoders,
         control: control?,
         safety: safety?,
         program_folder,

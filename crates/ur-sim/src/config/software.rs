@@ -1,6 +1,7 @@
-//! `controller:` of the simulator's configuration: which software the controller has.
+//! `controller:` of the simulator's configuration: which software it has, and what is wired to its encoders.
 //!
-//! In: the section. Out: a version; its major number says which kind of controller it is.
+//! In: the section. Out: a version, whose major number says which kind of controller it is, and the ticks a
+//! second of two conveyors.
 
 use crate::controller::config::SOFTWARE;
 use cell_parts::fields::optional;
@@ -9,13 +10,22 @@ use rearrange::document::decode::{At, Decoder};
 /// Version of PolyScope X unless the section names another.
 const POLYSCOPE_X: [u32; 4] = [10, 12, 0, SOFTWARE[3]];
 
+/// Fastest that the controller counts, ticks a second.
+const FASTEST: f64 = 40_000.0;
+
+/// Software, and ticks a second of the encoders.
+pub type Controller = ([u32; 4], [f64; 2]);
+
 /// Reads the section.
-pub fn software(decoder: &mut Decoder, at: &At) -> Option<[u32; 4]> {
-    let fields = decoder.map(at, &["software", "version"])?;
+pub fn controller(decoder: &mut Decoder, at: &At) -> Option<Controller> {
+    let fields = decoder.map(at, &["software", "version", "encoders"])?;
+    let encoders = optional(decoder, &fields, "encoders", [0.0; 2], |decoder, at| {
+        decoder.numbers_in::<2>(at, -FASTEST..=FASTEST, "ticks a second")
+    });
     let newest = optional(decoder, &fields, "software", SOFTWARE, |decoder, at| {
         decoder.choice(at, &[("polyscope_5", SOFTWARE), ("polyscope_x", POLYSCOPE_X)])
     })?;
-    optional(decoder, &fields, "version", newest, |decoder, at| {
+    let version = optional(decoder, &fields, "version", newest, |decoder, at| {
         let text = decoder.text(at)?;
         let version = version(&text).filter(|version| version[0] == newest[0]);
         if version.is_none() {
@@ -24,7 +34,8 @@ pub fn software(decoder: &mut Decoder, at: &At) -> Option<[u32; 4]> {
             decoder.complain_at(at, message, format!("write it as {major}.{minor} or {major}.{minor}.1"));
         }
         version
-    })
+    });
+    Some((version?, encoders?))
 }
 
 /// Major, minor and, if given, bug fix.
@@ -60,6 +71,10 @@ mod tests {
         assert_eq!(read("{version: 5.10}"), of(5, 10, 0));
         assert_eq!(read("{software: polyscope_x}"), of(10, 12, 0));
         assert_eq!(read("{software: polyscope_x, version: 10.11.1}"), of(10, 11, 1));
+        let text = include_str!("../../../../config/sim.yaml");
+        let file =
+            read_sim(&text.replace("controller: {}", "controller: {encoders: [-250.5, 7]}"), "sim.yaml");
+        assert_eq!(file.unwrap().encoders, [-250.5, 7.0]);
     }
 
     #[test]
@@ -71,6 +86,8 @@ mod tests {
             ("{version: 5.26.0.1}", "is no version"),
             ("{version: 5.+6}", "is no version"),
             ("{software: cb3}", "polyscope_5"),
+            ("{encoders: [50000, 0]}", "encoders"),
+            ("{encoders: [1]}", "encoders"),
         ] {
             let reported = read(section).unwrap_err();
             assert!(reported.contains(complaint), "{section}: {reported}");

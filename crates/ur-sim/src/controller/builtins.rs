@@ -95,11 +95,11 @@ pub const TABLE: &[Entry] = entries![
     Modelled tool_wrench_limit_set(frame_offset; Fx, Fy, Fz, Mx, My, Mz) "accepted; no motion is slowed by \
         it";
     Modelled tool_wrench_limit_disable() "accepted";
-    Modelled conveyor_pulse_decode(type, A; B) "up to 250 Hz";
+    Modelled conveyor_pulse_decode(type, A; B) "as encoder_enable_pulse_decode";
     Modelled get_conveyor_tick_count() "the filter is assumed";
     Real set_conveyor_tick_count(tick_count; absolute_encoder_resolution) "";
-    Modelled encoder_enable_pulse_decode(encoder_index, decoder_type, A, B) "up to 250 Hz; a quadrature \
-        encoder counts four times a period, which is assumed";
+    Modelled encoder_enable_pulse_decode(encoder_index, decoder_type, A, B) "from inputs up to 250 Hz, or \
+        from the configured conveyor; a quadrature encoder counts four times a period, which is assumed";
     Real encoder_enable_set_tick_count(encoder_index, range_id) "";
     Real encoder_set_tick_count(encoder_index, count) "";
     Modelled encoder_get_tick_count(encoder_index; opt) "the filter is assumed";

@@ -48,6 +48,8 @@ pub struct ControllerConfig {
     pub tcp: [f64; 6],
     /// Payload of the installation, kg.
     pub payload: f64,
+    /// Ticks a second that come from the wires of the two encoders, negative backwards.
+    pub encoders: [f64; 2],
     /// Seed of `random()`.
     pub seed: u64,
     /// Programs that `load` finds.
@@ -74,6 +76,7 @@ impl ControllerConfig {
             safety: SafetyLimits::default(),
             tcp: [0.0; 6],
             payload: 0.0,
+            encoders: [0.0; 2],
             seed,
             programs: ProgramFiles::default(),
         }

@@ -167,7 +167,9 @@ impl Core {
     /// One frame of the encoders, and of the belt that carries the arm; `held`: the arm stays where it is.
     pub(super) fn run_conveyor(&mut self, held: bool) {
         let inputs = self.registers.digital_inputs;
-        self.settings.encoders.iter_mut().for_each(|encoder| encoder.advance(inputs));
+        for (encoder, rate) in self.settings.encoders.iter_mut().zip(self.config.encoders) {
+            encoder.advance(inputs, rate * FRAME_SECONDS);
+        }
         if !self.mover.tracks() {
             self.conveyor = None;
         }

@@ -1,9 +1,10 @@
 //! The two encoders of conveyors: counts that scripts set or that come from pulses on inputs, filtered.
 //!
-//! In: what scripts set up, counts, and the digital inputs of each frame. Out: raw and filtered counts
-//! within their range, and how far the filtered one has moved. Pure. The filter's time and four counts for
-//! each period of a quadrature encoder are assumed. Inputs are looked at once a frame: faster pulses than
-//! 250 Hz are missed, where the controller takes 40 kHz.
+//! In: what scripts set up, counts, and the digital inputs and conveyor of each frame. Out: raw and filtered
+//! counts within their range, and how far the filtered one has moved. Pure. The filter's time and four
+//! counts for each period of a quadrature encoder are assumed. Inputs are looked at once a frame: faster
+//! pulses than 250 Hz are missed, where the controller takes 40 kHz; those of the configured conveyor are
+//! counted without that.
 
 use crate::motion::FRAME_SECONDS;
 
@@ -154,12 +155,13 @@ impl Encoder {
         std::mem::take(&mut self.moved)
     }
 
-    /// One frame with these digital inputs.
-    pub fn advance(&mut self, inputs: u64) {
+    /// One frame with these digital inputs, and so many ticks from a conveyor that runs.
+    pub fn advance(&mut self, inputs: u64, ticks: f64) {
         if let Source::Pulses(decoder, pins) = self.source {
             let levels = pins.map(|pin| inputs >> pin & 1 == 1);
             let before = self.levels.replace(levels).unwrap_or(levels);
-            self.total += f64::from(steps(decoder, before, levels));
+            let ticks = if decoder == Decoder::Quadrature { ticks } else { ticks.abs() };
+            self.total += f64::from(steps(decoder, before, levels)) + ticks;
         }
         let before = self.filtered;
         self.filtered += self.rate * FRAME_SECONDS;
@@ -215,7 +217,7 @@ mod tests {
         for _ in 0..2000 {
             count = (count + 2.0) % 65_536.0;
             assert!(encoder.set(count));
-            encoder.advance(0);
+            encoder.advance(0, 0.0);
         }
         assert!((encoder.count() - count).abs() < 0.5, "{} {count}", encoder.count());
         assert!((encoder.take_moved() - 4000.0).abs() < 0.5);
@@ -229,7 +231,7 @@ mod tests {
         let count = |decoder, levels: &mut dyn Iterator<Item = u64>| {
             let mut encoder = Encoder::default();
             encoder.expect_pulses(Some((decoder, [8, 9])));
-            levels.for_each(|inputs| encoder.advance(inputs));
+            levels.for_each(|inputs| encoder.advance(inputs, 0.0));
             encoder.raw()
         };
         for (decoder, forwards) in
@@ -238,5 +240,21 @@ mod tests {
             assert_eq!(count(decoder, &mut period.into_iter()), forwards, "{decoder:?}");
         }
         assert_eq!(count(Decoder::Quadrature, &mut period.into_iter().rev()), -4);
+    }
+
+    #[test]
+    fn a_conveyor_that_runs_counts_where_pulses_are_expected_backwards_by_two_inputs_only() {
+        for (expected, raw) in
+            [(None, 0), (Some((Decoder::Rising, [8, 8])), 500), (Some((Decoder::Quadrature, [8, 9])), -500)]
+        {
+            let mut encoder = Encoder::default();
+            encoder.expect_pulses(expected);
+            (0..1000).for_each(|_| encoder.advance(0, -0.5));
+            assert_eq!(encoder.raw(), raw, "{expected:?}");
+        }
+        let mut set = Encoder::default();
+        assert!(set.expect_counts(0) && set.set(7.0));
+        set.advance(0, 0.5);
+        assert_eq!(set.raw(), 7);
     }
 }

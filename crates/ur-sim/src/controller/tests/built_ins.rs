@@ -313,6 +313,23 @@ fn a_program_that_ends_leaves_its_round_conveyor() {
 }
 
 #[test]
+fn pulses_of_a_conveyor_that_runs_are_decoded_and_tracked() {
+    let mut config = running().core.config;
+    config.encoders = [0.0, 1000.0];
+    let mut controller = Controller::new(config);
+    let script = "def p():\n encoder_enable_pulse_decode(1, 1, 8, 9)\n sleep(1)\n textmsg(abs(\
+                  encoder_get_tick_count(1) - 1000) < 5)\n track_conveyor_linear(p[1,0,0,0,0,0], 20000, 1)\n \
+                  sleep(2)\n set_digital_out(1, True)\n sleep(1)\nend\n";
+    upload(&mut controller, script);
+    controller.frame();
+    let start = controller.core.mover.tcp().translation.vector;
+    step_until(&mut controller, |c| c.core.registers.digital_outputs & 2 != 0);
+    let moved = controller.core.mover.tcp().translation.vector - start;
+    assert!((moved - nalgebra::Vector3::new(0.1, 0.0, 0.0)).norm() < 1e-3, "{moved}");
+    assert!(messages(&mut controller).contains(&"text:True".to_owned()));
+}
+
+#[test]
 fn what_is_no_conveyor_or_encoder_is_refused() {
     for (call, refusal) in [
         ("track_conveyor_linear(p[0,0,0,1,0,0], 1000)", "a conveyor has a direction"),
