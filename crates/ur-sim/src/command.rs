@@ -61,7 +61,7 @@ pub struct SimArgs {
     /// Which arm, instead of the configuration's: UR5e, UR10e, ...
     #[arg(long, value_name = "NAME", value_parser = values::model)]
     model: Option<ArmModel>,
-    /// Software version that the controller has, as 5.13.0.
+    /// Software version that the controller has, as 5.13.0; 10.12.0 is PolyScope X, without a dashboard.
     #[arg(long, value_name = "VERSION", value_parser = values::software)]
     software: Option<[u32; 4]>,
     /// Simulated seconds per second, instead of the configuration's.
@@ -128,6 +128,8 @@ pub fn run(args: &SimArgs) -> u8 {
         }
     };
     file.model = args.model.unwrap_or(file.model);
+    // Before the ports: PolyScope X has others.
+    file.software = args.software.unwrap_or(file.software);
     let bind = match args.bind.map_or_else(|| file.bind.parse::<IpAddr>(), Ok) {
         Ok(bind) => bind,
         Err(error) => {
@@ -144,7 +146,6 @@ pub fn run(args: &SimArgs) -> u8 {
     }
     let mut config = sim_config(&file, bind, RobotPorts::REAL);
     config.time_factor = args.time_factor.unwrap_or(file.time_factor);
-    config.controller.version = args.software.unwrap_or(config.controller.version);
     match args.faults.as_deref().map_or(Ok(Vec::new()), faults_of) {
         Ok(faults) => config.faults = faults,
         Err(message) => {

@@ -16,9 +16,14 @@ _RANDOM = random.SystemRandom()
 
 @dataclass(frozen=True)
 class Ports:
-    """Port numbers of one robot; without an offset the controller's own."""
+    """Port numbers of one robot; without an offset the controller's own.
 
-    dashboard: int
+    PolyScope X has `robot_api` (HTTP) in place of `dashboard`. `robotiq` is there with such a gripper.
+    """
+
+    dashboard: Optional[int]
+    robot_api: Optional[int]
+    robotiq: Optional[int]
     primary: int
     secondary: int
     realtime: int
@@ -41,9 +46,10 @@ class Gripper:
 
 def ports_of(ready: Mapping[str, Any]) -> Ports:
     """The ports that a ready line names. Raises KeyError, TypeError or ValueError for another line."""
-    own = ready["controller_modbus"]
     return Ports(
-        dashboard=_port(ready["dashboard"]),
+        dashboard=_if_any(ready["dashboard"]),
+        robot_api=_if_any(ready["robot_api"]),
+        robotiq=_if_any(ready["robotiq"]),
         primary=_port(ready["primary"]),
         secondary=_port(ready["secondary"]),
         realtime=_port(ready["realtime"]),
@@ -52,8 +58,12 @@ def ports_of(ready: Mapping[str, Any]) -> Ports:
         gripper=_port(ready["modbus"]),
         camera=_port(ready["camera"]),
         control=_port(ready["control"]),
-        controller_modbus=None if own is None else _port(own),
+        controller_modbus=_if_any(ready["controller_modbus"]),
     )
+
+
+def _if_any(address: Optional[str]) -> Optional[int]:
+    return None if address is None else _port(address)
 
 
 def _port(address: str) -> int:

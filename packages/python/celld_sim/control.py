@@ -17,15 +17,23 @@ TIMEOUT_S = 10.0
 """Longest wait for an answer, s."""
 
 
-def exchange(host: str, port: int, path: str, body: Optional[Any] = None) -> Tuple[int, Any]:
-    """Status and JSON of a GET, or of a POST where there is a body."""
-    connection = http.client.HTTPConnection(host, port, timeout=TIMEOUT_S)
+def exchange(
+    host: str,
+    port: int,
+    path: str,
+    body: Optional[Any] = None,
+    *,
+    method: Optional[str] = None,
+    timeout_s: float = TIMEOUT_S,
+) -> Tuple[int, Any]:
+    """Status and JSON of a request: a GET, or a POST where there is a body, unless `method` says otherwise."""
+    connection = http.client.HTTPConnection(host, port, timeout=timeout_s)
     try:
         if body is None:
-            connection.request("GET", path)
+            connection.request(method or "GET", path)
         else:
             headers = {"Content-Type": "application/json"}
-            connection.request("POST", path, json.dumps(body, allow_nan=False), headers)
+            connection.request(method or "POST", path, json.dumps(body, allow_nan=False), headers)
         answer = connection.getresponse()
         return answer.status, json.loads(answer.read())
     except (OSError, http.client.HTTPException) as error:

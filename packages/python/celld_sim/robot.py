@@ -153,12 +153,32 @@ class Robot:
         return self._last_log if self._process is None else self._process.log()
 
     def dashboard(self, command: str) -> str:
-        """The dashboard's answer to one command, as "robotmode"."""
+        """The dashboard's answer to one command, as "robotmode". PolyScope X has none: see `robot_api`."""
         host, ports = self._at()
+        if ports.dashboard is None:
+            raise SimulatorError("PolyScope X has no dashboard server; robot_api(...) takes its place")
         return control.dashboard(host, ports.dashboard, command)
+
+    def robot_api(self, method: str, path: str, body: Optional[Any] = None) -> Any:
+        """The answer of PolyScope X's Robot API: `robot_api("PUT", "/program/v1/state", {"action": "play"})`.
+
+        Raises SimulatorError with the controller's words for any status but 200.
+        """
+        host, ports = self._at()
+        if ports.robot_api is None:
+            raise SimulatorError("there is no Robot API: choose software 10.12.0 or another of PolyScope X")
+        place = (host, ports.robot_api, f"/universal-robots/robot-api{path}")
+        status, answer = control.exchange(*place, body, method=method, timeout_s=POWER_ON_S)
+        if status != 200:
+            raise SimulatorError(f"{method} {path}: {status}: {answer}")
+        return answer
 
     def power_on(self) -> None:
         """Switches the arm's power on and opens its brakes; returns when the robot mode is RUNNING."""
+        if self.ports.robot_api is not None:
+            for action in ("POWER_ON", "BRAKE_RELEASE"):
+                self.robot_api("PUT", "/robotstate/v1/state", {"action": action})
+            return
         deadline = time.monotonic() + POWER_ON_S
         for command, mode in (("power on", "IDLE"), ("brake release", "RUNNING")):
             if "RUNNING" in self.dashboard("robotmode"):
