@@ -38,6 +38,9 @@ FILES = {
 def main(program, version, seconds, folder):
     """Writes the layout."""
     if folder.exists():
+        # An earlier image is written anew; whatever else is there was not meant.
+        if any(folder.iterdir()) and not (folder / "oci-layout").is_file():
+            sys.exit(f"{folder} has other files in it: name an empty or a new folder")
         shutil.rmtree(folder)
     blobs = folder / "blobs" / "sha256"
     blobs.mkdir(parents=True)

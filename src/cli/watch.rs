@@ -53,6 +53,7 @@ fn full(state: &StateFolder, stop: &Arc<AtomicBool>) -> u8 {
     if !std::io::stdout().is_terminal() {
         return exit_2("--full needs a terminal; without it, `celld watch` prints a line at every change");
     }
+    crate::cli::interrupt::watch_every(stop);
     let mut terminal = match ratatui::try_init() {
         Ok(terminal) => terminal,
         Err(error) => return exit_2(&format!("this terminal cannot show a screen: {error}")),

@@ -103,7 +103,8 @@ impl CameraDevice {
 /// The host in `http://host:port/path`; brackets of an IPv6 address are left out.
 fn host_of(url: &str) -> &str {
     let rest = url.strip_prefix("http://").unwrap_or(url);
-    let authority = rest.split('/').next().unwrap_or_default();
+    let authority = rest.split(['/', '?', '#']).next().unwrap_or_default();
+    let authority = authority.rsplit_once('@').map_or(authority, |(_, host)| host);
     match authority.strip_prefix('[') {
         Some(bracketed) => bracketed.split(']').next().unwrap_or_default(),
         None => authority.split(':').next().unwrap_or_default(),
@@ -222,10 +223,11 @@ fn url(decoder: &mut Decoder, fields: &Fields) -> Option<String> {
     None
 }
 
-/// `http://HOST[:PORT]/PATH`, of visible ASCII characters.
+/// `http://[USER[:PASSWORD]@]HOST[:PORT]/PATH`, of visible ASCII characters.
 fn is_picture_address(url: &str) -> bool {
     let Some(rest) = url.strip_prefix("http://") else { return false };
     let authority = rest.split(['/', '?', '#']).next().unwrap_or_default();
+    let authority = authority.rsplit_once('@').map_or(authority, |(_, host)| host);
     let port = match authority.strip_prefix('[') {
         Some(bracketed) => bracketed.split_once(']').map(|(_, after)| after),
         None => authority.find(':').map_or(Some(""), |colon| authority.get(colon..)),
@@ -294,6 +296,9 @@ mod tests {
         let http = device("{kind: http, url: 'http://10.0.0.9:81/shot.jpg', serial: B}");
         assert_eq!(http.host(), Some("10.0.0.9"));
         assert_eq!(device("{kind: http, url: 'http://[::1]/a', serial: B}").host(), Some("::1"));
+        let with = |url: &str| device(&format!("{{kind: http, url: '{url}', serial: B}}"));
+        assert_eq!(with("http://user:secret@10.0.0.5/snap.jpg").host(), Some("10.0.0.5"));
+        assert_eq!(with("http://cam?x=1").host(), Some("cam"));
         let sim = device("{kind: simulator, host: 127.0.0.2, port: 8090, depth: true}");
         assert!(matches!(sim, CameraDevice::Simulator { depth: true, .. }) && !sim.is_recording());
         assert!(device("{kind: folder, path: looks}").is_recording());

@@ -93,10 +93,9 @@ impl Film<'_> {
                 at = to;
             }
             let _ = write!(frames, "100%{{{at}}}");
-            let moves = if at == start {
-                String::new()
-            } else {
-                format!("animation:o{index} {seconds:.1}s infinite")
+            let moves = match self.actions.iter().any(|action| action.object == index) {
+                true => format!("animation:o{index} {seconds:.1}s infinite"),
+                false => String::new(),
             };
             line(svg, format_args!(".plan-film .o{index}{{{start};{moves}}}"));
             if !moves.is_empty() {

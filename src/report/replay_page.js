@@ -31,8 +31,8 @@ function last(list, time, when = (entry) => entry[0]) {
   return low ? list[low - 1] : null;
 }
 
-const ends = [...run.arm, ...run.states, ...run.pictures, ...run.plans].map(([time]) => time);
-const length = Math.max(0.1, ...ends, ...run.sentences.map(({ at }) => at));
+const ends = [run.arm, run.states, run.pictures, run.plans].map((list) => list.at(-1)?.[0] ?? 0);
+const length = Math.max(0.1, ...ends, run.sentences.at(-1)?.at ?? 0);
 
 const PIXELS = 640;
 const scale = PIXELS / Math.max(run.table[0], run.table[1], 0.01);

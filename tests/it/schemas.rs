@@ -67,7 +67,7 @@ fn examples() -> Vec<(Kind, Reader, Vec<String>)> {
     ];
     vec![
         (Kind::Config, config, vec![file("config/cell.yaml")]),
-        (Kind::Sim, |text| told(read_sim(text, "sim.yaml")), vec![file("config/sim.yaml")]),
+        (Kind::Sim, |text| told(read_sim(text, "sim.yaml")), simulators(&file("config/sim.yaml"))),
         (
             Kind::Faults,
             |text| told(read_faults(text, "faults.yaml")),
@@ -92,6 +92,25 @@ fn examples() -> Vec<(Kind, Reader, Vec<String>)> {
             vec![sound::HAND_EYE.to_string()],
         ),
         (Kind::Calibration, |text| told(TableCalibration::parse(text, "c")), vec![sound::TABLE.to_string()]),
+    ]
+}
+
+/// The example, and the same with other grippers and another controller.
+fn simulators(text: &str) -> Vec<String> {
+    let with = |from: &str, to: &str| {
+        assert!(text.contains(from), "{from}");
+        text.replacen(from, to, 1)
+    };
+    let fingers = with("\n  vacuum_min: 0.3\n", "\n  kind: robotiq_2f85\n  vacuum_min: null\n");
+    let cups = "  cups: [{channel: A, x: 0, y: 0, diameter: 0.02}]\n";
+    vec![
+        text.to_string(),
+        with(
+            "\n  vacuum_min: 0.3\n",
+            "\n  kind: ejector\n  vacuum_on: 0\n  part_present: 17\n  vacuum_min: 0.3\n",
+        ),
+        fingers.replacen(cups, "  cups: null\n", 1),
+        with("\ncontroller: {}", "\ncontroller: {software: polyscope_x, version: 10.12, encoders: [100, 0]}"),
     ]
 }
 

@@ -24,8 +24,8 @@ use std::net::IpAddr;
 use std::sync::Arc;
 use tokio::net::TcpListener;
 
-/// Largest fault request, bytes.
-const BODY_LIMIT: usize = 64 * 1024;
+/// Largest fault request, bytes: a plan of a thousand faults.
+const BODY_LIMIT: usize = 1024 * 1024;
 
 /// Why the control server ended.
 #[derive(Debug, thiserror::Error)]
@@ -157,8 +157,12 @@ mod tests {
         assert_eq!(state["camera_on"].as_bool(), Some(false));
         assert_eq!(state["faults"]["active"][0].as_str(), Some("camera.off"));
         assert_eq!(state["events"][0]["name"].as_str(), Some("camera.off"));
-        let (status, reply) =
-            exchange(address, "/fault", Some(r#"{"do": "world.nudge", "args": {"object": "x"}}"#)).await;
+        let (status, reply) = exchange(
+            address,
+            "/fault",
+            Some(r#"{"do": "world.nudge", "args": {"object": "x", "dx_m": 0.01}}"#),
+        )
+        .await;
         assert_eq!(status, 400);
         assert!(reply["error"].as_str().unwrap().contains("\"x\""));
         let (status, _) = exchange(address, "/fault", Some("]")).await;

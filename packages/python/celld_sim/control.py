@@ -35,11 +35,16 @@ def exchange(
             headers = {"Content-Type": "application/json"}
             connection.request(method or "POST", path, json.dumps(body, allow_nan=False), headers)
         answer = connection.getresponse()
-        return answer.status, json.loads(answer.read())
+        text = answer.read()
     except (OSError, http.client.HTTPException) as error:
         raise SimulatorError(f"the simulator at {host}:{port} did not answer {path}: {error!r}") from error
     finally:
         connection.close()
+    try:
+        return answer.status, json.loads(text)
+    except ValueError:
+        said = text[:200].decode(errors="replace").strip()
+        raise SimulatorError(f"{path} at {host}:{port}: {answer.status} {answer.reason}: {said}") from None
 
 
 def dashboard(host: str, port: int, command: str) -> str:

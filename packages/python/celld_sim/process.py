@@ -32,8 +32,14 @@ class Process:
         self._log = tempfile.TemporaryFile()
         try:
             # From the root folder: it would take a file config/sim.yaml where it runs for its own.
+            # In a session of its own: Ctrl-C at the terminal is meant for the caller. Its end is that of the pipe.
             self._child = subprocess.Popen(
-                command, cwd="/", stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log
+                command,
+                cwd="/",
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self._log,
+                start_new_session=True,
             )
         except OSError as error:
             self._log.close()

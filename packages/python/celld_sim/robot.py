@@ -37,7 +37,7 @@ class Robot:
 
     model: which arm, one of MODELS. software: version that the controller has, as "5.13.0". host: an
     address of this computer; without it one that is free (Linux), or 127.0.0.1 with ports that are free.
-    port_offset: added to every port number. time_factor: simulated seconds per second; 1 is real time.
+    port_offset: added to every port number, at 127.0.0.1 unless `host` says where. time_factor: simulated seconds per second; 1 is real time.
     running: whether power is on and the brakes are open when `start` returns; a controller that was just
     switched on has both off. config: a file as config/sim.yaml of the project. faults: what goes wrong and
     when, as a file of the project's docs/faults.md. program: the simulator, instead of the one in this
@@ -240,16 +240,16 @@ class Robot:
         host, ports = self._at()
         status, answer = control.exchange(host, ports.control, "/fault", order)
         if status != 200:
-            raise FaultRefused(str(answer.get("error", answer)))
+            raise FaultRefused(str(answer.get("error", answer) if isinstance(answer, dict) else answer))
 
     def _places(self) -> Iterator[Tuple[str, int]]:
         """Address and offset to try, the first that is free being taken."""
         host, offset = self._place
-        if host is not None or (offset is not None and not sys.platform.startswith("linux")):
+        if host is not None or offset is not None:
             yield host or "127.0.0.1", offset or 0
         elif sys.platform.startswith("linux"):
             for _, address in zip(range(TRIES), loopback_addresses()):
-                yield address, offset or 0
+                yield address, 0
         else:
             for _, free in zip(range(TRIES), port_offsets()):
                 yield "127.0.0.1", free

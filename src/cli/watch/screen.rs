@@ -60,14 +60,16 @@ impl Screen {
         };
         let devices = u16::try_from(status.devices.len()).unwrap_or(u16::MAX).saturating_add(2).min(8);
         let changes = if area.height < SMALL { 0 } else { 6 };
+        let words = now_of(status, unix_s);
         let [now, job, device_area, change_area] = Layout::vertical([
-            Constraint::Length(7),
+            Constraint::Length(tall(&words, area.width).clamp(5, (area.height / 2).max(5))),
             Constraint::Min(3),
             Constraint::Length(devices),
             Constraint::Length(changes),
         ])
         .areas(area);
-        frame.render_widget(now_of(status, unix_s), now);
+        let words = Paragraph::new(words).wrap(Wrap { trim: false });
+        frame.render_widget(words.block(Block::bordered().title(TITLE)), now);
         self.job(frame, job, status);
         frame.render_widget(devices_of(&status.devices), device_area);
         self.changes(frame, change_area);
@@ -102,24 +104,40 @@ impl Screen {
 
 const TITLE: &str = " celld (q or Ctrl-C leaves; nothing here moves the arm) ";
 
-fn now_of(status: &Status, unix_s: f64) -> Paragraph<'_> {
+/// Rows of a bordered block with these lines, wrapped at words.
+fn tall(lines: &[Line], width: u16) -> u16 {
+    let inside = usize::from(width.saturating_sub(2)).max(1);
+    // A word that does not fit at a line's end goes to the next: at most half a line is lost to that.
+    let rows = lines.iter().map(|line| match line.width() {
+        fits if fits <= inside => 1,
+        long => (long * 5).div_ceil(inside * 4),
+    });
+    u16::try_from(rows.sum::<usize>() + 2).unwrap_or(u16::MAX)
+}
+
+/// What it does, and what a person is to do, which comes first: the room may not do for all.
+fn now_of(status: &Status, unix_s: f64) -> Vec<Line<'_>> {
     let strong = Style::new().add_modifier(Modifier::BOLD);
     let armed = match status.armed {
         true => Span::styled("ARMED: the arm may move", strong.fg(Color::Red)),
         false => Span::styled("disarmed", strong),
     };
     let paused = if status.paused { ", paused" } else { "" };
+    let mut lines = Vec::new();
     let age = unix_s - status.written_unix_s;
-    let mut lines = vec![Line::from(vec![armed, Span::raw(format!("{paused}; {}", status.message))])];
     if age > STALE_S {
         let text = format!("this is {age:.0} s old: the daemon does not report any more");
-        lines.insert(0, Line::styled(text, strong.fg(Color::Red)));
+        lines.push(Line::styled(text, strong.fg(Color::Red)));
+    }
+    lines.push(Line::from(vec![armed, Span::raw(format!("{paused}; {}", status.message))]));
+    if !status.hint.is_empty() {
+        lines.push(Line::styled(format!("to do: {}", status.hint), strong));
+    }
+    for id in &status.awaiting_approval {
+        lines.push(Line::styled(format!("waits for `celld approve {id}` or `celld reject {id}`"), strong));
     }
     if let Some(Stopped { code, message, .. }) = &status.stopped {
         lines.push(Line::styled(format!("stopped: {message} ({code})"), Color::Red));
-    }
-    if !status.hint.is_empty() {
-        lines.push(Line::styled(format!("to do: {}", status.hint), strong));
     }
     if let Some(because) = &status.because {
         lines.push(Line::from(format!("looks again: {because}")));
@@ -127,10 +145,7 @@ fn now_of(status: &Status, unix_s: f64) -> Paragraph<'_> {
     if let Some(holding) = &status.holding {
         lines.push(Line::from(format!("gripper: {holding}")));
     }
-    for id in &status.awaiting_approval {
-        lines.push(Line::styled(format!("waits for `celld approve {id}` or `celld reject {id}`"), strong));
-    }
-    Paragraph::new(lines).wrap(Wrap { trim: false }).block(Block::bordered().title(TITLE))
+    lines
 }
 
 fn devices_of(devices: &[DeviceStatus]) -> Paragraph<'_> {
@@ -203,6 +218,20 @@ mod tests {
             assert!(shows(&lines, text), "{text}:\n{}", lines.join("\n"));
         }
         assert!(!shows(&lines, "s old"), "a second is no age");
+    }
+
+    #[test]
+    fn what_a_person_is_to_do_is_there_on_a_narrow_screen() {
+        let mut screen = Screen::default();
+        let mut status = working();
+        status.message = "a sentence that goes on and on ".repeat(4);
+        status.stopped = Some(Stopped { message: "as long as that ".repeat(9), ..Stopped::default() });
+        status.awaiting_approval = ["one", "two", "three"].map(str::to_string).to_vec();
+        screen.set(Some(status));
+        let lines = drawn(&screen, [80, 24], 2000.0);
+        for text in ["s old", "to do: keep clear", "celld approve one", "celld approve three"] {
+            assert!(shows(&lines, text), "{text}:\n{}", lines.join("\n"));
+        }
     }
 
     #[test]

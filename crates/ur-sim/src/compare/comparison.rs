@@ -3,7 +3,7 @@
 //! In: both tracks. Out: [`Comparison`]: joint positions over time from the first motion on, beginning and
 //! length of each motion, changes of the states; and what of it is beyond given tolerances, in sentences.
 
-use crate::compare::motions::{Motion, motions};
+use crate::compare::motions::{Motion, REST_S, motions};
 use crate::compare::track::{Change, STATES, Track};
 use serde::Serialize;
 
@@ -96,8 +96,9 @@ pub fn compare(recorded: &Track, simulated: &Track) -> Result<Comparison, Compar
         })
         .collect();
     let real = motions(recorded, began, interval_s);
-    let ours = motions(simulated, sim_began, interval_s);
     let length_s = recorded.times_s.last().map_or(0.0, |last| last - began);
+    let mut ours = motions(simulated, sim_began, interval_s);
+    ours.retain(|motion| motion.begins_s <= length_s);
     Ok(Comparison {
         samples: errors.len(),
         interval_s,
@@ -167,9 +168,11 @@ impl StatePair {
 }
 
 impl MotionPair {
-    /// The first thing that differs by more than `time_s`, in a sentence.
-    fn difference(&self, number: usize, time_s: f64) -> Option<String> {
+    /// The first thing that differs by more than `time_s`, in a sentence. What the end of the recording at
+    /// `length_s` cuts off is not judged.
+    fn difference(&self, number: usize, time_s: f64, length_s: f64) -> Option<String> {
         let (real, ours) = match (self.recorded, self.simulated) {
+            (None, Some(ours)) if ours.begins_s > length_s - time_s => return None,
             (Some(real), Some(ours)) => (real, ours),
             (Some(real), None) => {
                 return Some(format!("motion {number}: recorded alone, at {:.3} s", real.begins_s));
@@ -186,7 +189,8 @@ impl MotionPair {
             ));
         }
         let sentence = format!("motion {number}: the simulated one lasts {longer_s:+.3} s of the recorded");
-        (longer_s.abs() > time_s).then_some(sentence)
+        let cut = real.ends_s() > length_s - REST_S && longer_s > 0.0;
+        (longer_s.abs() > time_s && !cut).then_some(sentence)
     }
 }
 
@@ -199,7 +203,8 @@ impl Comparison {
                 format!("joint {joint}: {:.4} rad apart at {:.3} s", error.largest_rad, error.at_s)
             });
         let motions = self.motions.iter().zip(1..);
-        let motions = motions.filter_map(|(pair, number)| pair.difference(number, tolerances.time_s));
+        let motions =
+            motions.filter_map(|(pair, number)| pair.difference(number, tolerances.time_s, self.length_s));
         let states = self.states.iter();
         let states = states.filter_map(|pair| pair.difference(tolerances.time_s, self.length_s));
         joints.chain(motions).chain(states).collect()
@@ -265,6 +270,28 @@ mod tests {
         assert!(said.contains("motion 2: recorded alone, at 3.9"), "{said}");
         let said = breaches(&turning(1.0, 2.0, 8.0), &longer).join("\n");
         assert!(said.contains("motion 2: simulated alone, at 3.9"), "{said}");
+    }
+
+    #[test]
+    fn what_comes_after_the_recording_s_end_is_not_judged() {
+        let mut two = turning(1.0, 2.0, 8.0);
+        for (time, joints) in two.times_s.iter().zip(&mut two.joints) {
+            joints[0] = ((time - 5.0) * 0.2).clamp(0.0, 0.1);
+        }
+        let cut = |end_s: f64| {
+            let mut track = two.clone();
+            let samples = (end_s * 500.0) as usize;
+            track.times_s.truncate(samples);
+            track.joints.truncate(samples);
+            for state in track.states.iter_mut().flatten() {
+                state.truncate(samples);
+            }
+            track
+        };
+        assert_eq!(breaches(&cut(4.0), &two), [""; 0], "before the second motion");
+        assert_eq!(breaches(&cut(5.3), &two), [""; 0], "in the middle of it");
+        let said = breaches(&cut(6.5), &turning(1.0, 2.0, 8.0)).join("\n");
+        assert!(said.contains("motion 2: recorded alone"), "{said}");
     }
 
     #[test]

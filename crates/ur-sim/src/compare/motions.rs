@@ -14,7 +14,7 @@ const RESTS_RAD_S: f64 = 0.01;
 const WINDOW_S: f64 = 0.04;
 
 /// Rests shorter than this are part of a motion, s.
-const REST_S: f64 = 0.1;
+pub(super) const REST_S: f64 = 0.1;
 
 /// From rest to rest.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

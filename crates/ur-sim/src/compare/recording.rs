@@ -6,6 +6,12 @@
 
 use crate::compare::track::{STATES, Track};
 
+/// Longest time between two samples, s: more is another recording, or a slip.
+const MOST_GAP_S: f64 = 60.0;
+
+/// Shortest, s.
+const LEAST_STEP_S: f64 = 1e-4;
+
 /// Most complaints about one recording.
 const MOST_COMPLAINTS: usize = 20;
 
@@ -89,6 +95,18 @@ fn sample(line: &str, columns: &Columns, track: &mut Track) -> Result<(), String
         // The recorder writes a state again when no newer one has come.
         Some(last) if *last == time_s => return Ok(()),
         Some(last) if *last > time_s => return Err(format!("time {time_s} after {last}")),
+        Some(last) if time_s - last > MOST_GAP_S => {
+            return Err(format!(
+                "{:.0} s after the line before, at most {MOST_GAP_S} are read",
+                time_s - last
+            ));
+        }
+        Some(last) if time_s - last < LEAST_STEP_S => {
+            return Err(format!(
+                "{:e} s after the line before, a controller sends every 2 ms",
+                time_s - last
+            ));
+        }
         _ => (),
     }
     track.times_s.push(time_s);
@@ -132,6 +150,10 @@ mod tests {
         );
         let many = format!("{HEADER}\n{}", "x\n".repeat(1000));
         assert_eq!(read_recording(&many).unwrap_err().len(), MOST_COMPLAINTS);
+        let far = complaints(&format!("{HEADER}\n1,0,0,0,0,0,0,7\n1e9,0,0,0,0,0,0,7\n"));
+        assert!(far.contains("line 3: 999999999 s after the line before"), "{far}");
+        let near = complaints(&format!("{HEADER}\n1,0,0,0,0,0,0,7\n1.0000001,0,0,0,0,0,0,7\n"));
+        assert!(near.contains("a controller sends every 2 ms"), "{near}");
     }
 
     #[test]

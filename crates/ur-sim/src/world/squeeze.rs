@@ -49,7 +49,9 @@ impl World {
         fingers.holds.retain(|index| self.bodies[*index].is_held());
         if let Some(wanted) = fingers.device.step(dt_s) {
             let step_m = wanted.speed * dt_s;
-            let object = if wanted.gap_m > fingers.gap_m + SAME_M {
+            // Fingers that hold something are as far open as it is wide: whatever is not narrower lets go.
+            let lets_go = !fingers.holds.is_empty() && wanted.gap_m >= fingers.gap_m - SAME_M;
+            let object = if lets_go || wanted.gap_m > fingers.gap_m + SAME_M {
                 self.open_fingers(&mut fingers, &tool, (wanted.gap_m, step_m))
             } else {
                 self.close_fingers(&mut fingers, &tool, &wanted, step_m)
@@ -60,6 +62,9 @@ impl World {
     }
 
     fn close_fingers(&mut self, fingers: &mut Fingers, tool: &Tool, wanted: &Wanted, step_m: f64) -> Object {
+        if !fingers.holds.is_empty() && !upright(tool) {
+            return Object::MetClosing;
+        }
         let gap_m = wanted.gap_m.max(fingers.gap_m - step_m);
         let between = self.between(fingers, tool);
         let left = between.iter().map(|(_, [left, _])| *left).fold(f64::INFINITY, f64::min);
@@ -74,7 +79,15 @@ impl World {
             let arrived = gap_m <= wanted.gap_m + SAME_M;
             return if arrived { Object::Arrived } else { Object::Moving };
         }
-        fingers.gap_m = width_m.min(fingers.gap_m);
+        if width_m > fingers.gap_m + SAME_M {
+            // They press on it from above: it does not fit between them.
+            return Object::MetClosing;
+        }
+        fingers.gap_m = width_m;
+        if wanted.gap_m >= width_m - SAME_M {
+            // They touch it and press no further.
+            return Object::Arrived;
+        }
         if !stuck {
             self.shift(&between, tool, -(left + right) / 2.0);
             fingers.force_n = wanted.force;
@@ -124,8 +137,7 @@ impl World {
 
     /// What is between the fingers, and deep enough.
     fn between(&self, fingers: &Fingers, tool: &Tool) -> Vec<Between> {
-        let axis = -(tool.table_from_tool.rotation * Vector3::z());
-        if axis.angle(&Vector3::z()) > UPRIGHT_RAD {
+        if !upright(tool) {
             return Vec::new();
         }
         let (tip_m, frame) = (tool.table_from_tool.translation.z, seen_from_above(&tool.table_from_tool));
@@ -184,6 +196,12 @@ impl World {
         }
         deepest
     }
+}
+
+/// Whether the tool points down.
+fn upright(tool: &Tool) -> bool {
+    let axis = -(tool.table_from_tool.rotation * Vector3::z());
+    axis.angle(&Vector3::z()) <= UPRIGHT_RAD
 }
 
 /// A finger's frame on the table.
@@ -303,6 +321,49 @@ mod tests {
         cell.go([0.25, 0.25, 0.021]);
         go(&mut cell, 255);
         assert_eq!((cell.world.held().count(), read(&cell, "OBJ")), (0, 3), "the tips are above it");
+    }
+
+    #[test]
+    fn what_does_not_fit_between_the_fingers_is_not_gripped_from_above() {
+        let mut wide = block("wide", 0.25, 0.25);
+        wide.footprint = rearrange::geometry::footprint::Footprint::rectangle(0.1, 0.1).unwrap();
+        let mut cell = cell(vec![wide]);
+        // 4 mm deep in its top.
+        cell.go([0.25, 0.25, 0.016]);
+        go(&mut cell, 255);
+        assert_eq!((cell.world.held().count(), read(&cell, "OBJ")), (0, 2));
+        let open = cell.world.finger_gap_m().unwrap();
+        assert!((open - 0.085).abs() < 1e-6, "{open}");
+    }
+
+    #[test]
+    fn what_is_as_wide_as_the_fingers_open_is_held_and_let_go() {
+        let mut wide = block("wide", 0.25, 0.25);
+        wide.footprint = rearrange::geometry::footprint::Footprint::rectangle(0.085, 0.04).unwrap();
+        let mut cell = cell(vec![wide]);
+        cell.go([0.25, 0.25, 0.005]);
+        go(&mut cell, 255);
+        assert_eq!((cell.world.held().count(), read(&cell, "OBJ")), (1, 2));
+        go(&mut cell, 0);
+        assert_eq!((cell.world.held().count(), read(&cell, "OBJ")), (0, 3));
+    }
+
+    #[test]
+    fn a_tool_that_tilts_keeps_what_it_holds() {
+        let mut cell = cell(vec![block("a", 0.25, 0.25)]);
+        cell.go([0.25, 0.25, 0.005]);
+        go(&mut cell, 255);
+        cell.go([0.25, 0.25, 0.1]);
+        let before = (read(&cell, "OBJ"), read(&cell, "POS"));
+        for frame in 0..200 {
+            cell.frame(0.001 * f64::from(frame));
+        }
+        assert_eq!(
+            (read(&cell, "OBJ"), read(&cell, "POS"), cell.world.held().count()),
+            (before.0, before.1, 1)
+        );
+        cell.wait(0.5);
+        assert_eq!((read(&cell, "OBJ"), read(&cell, "POS")), before, "upright again");
     }
 
     #[test]

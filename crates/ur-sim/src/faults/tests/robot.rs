@@ -310,10 +310,13 @@ async fn people_move_objects_and_faults_name_what_exists() {
     bench.fault("{do: world.place, args: {object: block, pose: [5, 5, 0]}}");
     assert!(bench.happened(|kind| matches!(kind, EventKind::Fallen { .. })));
     assert_eq!(
-        bench.refusal("{do: world.nudge, args: {object: block}}"),
+        bench.refusal("{do: world.nudge, args: {object: block, dx_m: 0.01}}"),
         FaultError::NotFree("block".into())
     );
-    assert_eq!(bench.refusal("{do: world.nudge, args: {object: x}}"), FaultError::NoSuchObject("x".into()));
+    assert_eq!(
+        bench.refusal("{do: world.nudge, args: {object: x, dx_m: 0.01}}"),
+        FaultError::NoSuchObject("x".into())
+    );
     assert_eq!(
         bench.refusal("{at: {event: grip, object: y}, do: ur.pstop}"),
         FaultError::NoSuchObject("y".into())
