@@ -47,7 +47,7 @@ DEB_PACKAGES := dpkg-dev binutils
 PACKAGES_BUILT := $(BUILD)/packages
 MOST_MEGABYTES := 15
 
-.PHONY: help setup clients demo try test test-clients test-page bench figures fuzz fuzz-corpus
+.PHONY: help setup clients demo try test test-clients test-page book bench figures fuzz fuzz-corpus
 .PHONY: release install uninstall deb test-deb sim-static wheel image test-wheel test-image
 
 help:
@@ -59,6 +59,7 @@ help:
 	@echo "make sim-static                     the simulator alone, one file that runs on any Linux"
 	@echo "make wheel, make test-wheel         the same in a Python package with a pytest fixture"
 	@echo "make image, make test-image         the same as an OCI image, without a container engine"
+	@echo "make book                           the pages of docs/ as a book, in ./out/book"
 	@echo "make figures                        small versions of the paper's six figures in ./out/figures"
 	@echo "make fuzz [SECONDS=600]              fuzz each protocol for so long (fuzz/README.md)"
 	@echo "make bench                          nanoseconds of the collision kernel by pair of shapes"
@@ -231,6 +232,35 @@ test-page: setup $(PAGE)/installed.txt
 	cargo build --bin celld
 	$(PAGE)/bin/python tests/page/operate.py $(BUILD)/debug/celld $(PAGE)/pictures
 
+# The pages of docs/ as a book. mdBook is built once, without its server. Chapters that lie elsewhere in the
+# repository are included by a page of docs/; links to them lead to that page in the book.
+MDBOOK_VERSION := 0.5.4
+BOOK_TOOLS := $(BUILD)/book-tools
+BOOK := out/book
+BOOK_LINKS := -e 's|href="\.\./ARCHITECTURE\.html|href="architecture.html|g' \
+              -e 's|href="\.\./hardware/README\.html|href="hardware.html|g' \
+              -e 's|href="\.\./calibration/README\.html|href="calibration-files.html|g' \
+              -e 's|href="\.\./docs/|href="|g'
+
+book:
+	@if [ "$$($(BOOK_TOOLS)/bin/mdbook --version 2>/dev/null)" != "mdbook v$(MDBOOK_VERSION)" ]; then \
+	  mkdir -p $(BUILD); log=$(BUILD)/book-tools.log; \
+	  echo "book: building mdBook $(MDBOOK_VERSION), once (some minutes; log: $$log)"; \
+	  cargo install mdbook --locked --version $(MDBOOK_VERSION) --no-default-features --features search \
+	    --force --quiet --root $(BOOK_TOOLS) >"$$log" 2>&1 \
+	    || { tail -n 20 "$$log" >&2; echo "book: mdBook was not built, see $$log" >&2; exit 1; }; \
+	fi
+	@echo "book: building the chapters"
+	@rm -rf $(BOOK); MDBOOK_LOG=warn RUST_LOG=warn $(BOOK_TOOLS)/bin/mdbook build
+	@sed -i $(BOOK_LINKS) $(BOOK)/*.html
+	@echo "book: following the links"
+	@cd $(BOOK); dead=0; \
+	while IFS=: read -r page link; do \
+	  [ -e "$${link:-.}" ] || { echo "book: $$page leads to $$link, which is not there" >&2; dead=1; }; \
+	done < <(grep -oE '(href|src)="[^"#:]+' -- *.html | sed -E 's/(href|src)="//' | sort -u); \
+	exit $$dead
+	@echo "book: $(BOOK)/index.html"
+
 bench: setup
 	cargo bench
 
@@ -270,8 +300,10 @@ SHARE = $(PREFIX)/share/celld
 DOC = $(PREFIX)/share/doc/celld
 HELPERS := set-up address-filter
 EXAMPLES := cell.yaml sim.yaml calibration/sim/camera.yaml calibration/sim/hand_eye.yaml calibration/sim/table.yaml
+# Without the pages that are there for the book alone: they include others.
+BOOK_ONLY := $(addprefix docs/,SUMMARY.md architecture.md calibration-files.md contributing.md hardware.md)
 PAGES = README.md ARCHITECTURE.md LICENSE-APACHE LICENSE-MIT config/README.md calibration/README.md packages/python/README.md \
-        $(wildcard docs/*.md hardware/*.md hardware/*/*.md)
+        $(filter-out $(BOOK_ONLY),$(wildcard docs/*.md)) $(wildcard hardware/*.md hardware/*/*.md)
 INSTALLED = $(PREFIX)/bin/celld $(PREFIX)/bin/celld-sim \
             $(addprefix $(PREFIX)/lib/celld/,$(HELPERS)) \
             $(PREFIX)/lib/systemd/system/celld.service \
