@@ -3,6 +3,7 @@
 mod bad_bytes;
 mod bad_input;
 mod bench_command;
+mod book;
 mod calibration;
 mod camera_faults;
 mod cell;
