@@ -1,12 +1,13 @@
 //! The book of `docs/`: its commands are run, its pictures are made again, its configuration reference is
 //! compared with the schemas, its links are followed.
 //!
-//! In: the pages. Out: the block that does not do what it says, with all that it printed. A block `sh` is run
-//! and ends with 0 (or with the code of its comment `# exit 1`); `sh retry` is repeated until it succeeds
-//! and prints the block `text` that follows, for what a reader waits for; `sh background` goes on beside the rest of its page; `yaml` with a file's name in
-//! its first line is that file; `text` is printed by the block before, line by line, `...` being anything;
-//! `console` is what no test can do, of which the words alone are tried. With `CELLD_WRITE=1` the reference
-//! and the pictures are written instead.
+//! In: the pages. Out: the block that does not do what it says, with all that it printed. A block `sh` is
+//! run and ends with 0 (or with the code of its comment `# exit 1`); `sh retry` is repeated until it
+//! succeeds and prints the block `text` that follows, for what a reader waits for; `sh background` goes on
+//! beside the rest of its page; `yaml` with a file's name in its first line is that file; `text` is
+//! printed by the block before, line by line, `...` being anything; `console` is what no test can do, of
+//! which the words alone are tried. With `CELLD_WRITE=1` the reference and the pictures are written
+//! instead.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests: an unwrap that fails is the test that fails")]
 

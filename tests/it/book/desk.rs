@@ -1,9 +1,9 @@
 //! A folder in which the commands of a page are run, as a reader runs them in a clone of the repository.
 //!
-//! In: the blocks of a page. Out: what each prints, or a panic with the block, its exit code and all that it
-//! printed. `celld` is the program that is tested. The folder has the example configuration at an address
-//! and a speed of its own, so that pages are run beside each other; commands name the address of the example,
-//! and so does what is compared.
+//! In: the blocks of a page. Out: what each prints, or a panic with the block, its exit code and all that
+//! it printed. `celld` is the program that is tested. The folder has the example configuration at an
+//! address and a speed of its own, so that pages are run beside each other; commands name the address of
+//! the example, and so does what is compared.
 
 use super::pages::{Block, missing};
 use crate::cell::{CELLD, PATIENCE, celld, configuration, text, wait_until};

@@ -1,7 +1,7 @@
 //! JSON whose maps keep the order in which they are written.
 //!
-//! In: a JSON text. Out: a tree. `serde_json::Value` sorts the keys of a map; the pages of the book name them
-//! as the schemas do, what belongs together side by side.
+//! In: a JSON text. Out: a tree. `serde_json::Value` sorts the keys of a map; the pages of the book name
+//! them as the schemas do, what belongs together side by side.
 
 use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 use std::fmt;

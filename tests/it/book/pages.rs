@@ -1,7 +1,7 @@
 //! What is on a page of the book: fenced blocks, links, headings, pictures.
 //!
-//! In: a page's text. Out: its blocks with their info strings and lines, where its links lead, the anchors of
-//! its headings. Nothing here reads a file.
+//! In: a page's text. Out: its blocks with their info strings and lines, where its links lead, the anchors
+//! of its headings. Nothing here reads a file.
 
 use super::reference::slug;
 use std::collections::BTreeMap;

@@ -1,8 +1,9 @@
 //! The configuration reference of the book, out of the schemas of `celld schema`.
 //!
-//! In: the schemas, each with the word of its kind. Out: one page of Markdown: every key with its type, unit,
-//! range, default and sentence, in the order of the schema; shapes that several kinds have alike stand once,
-//! at the end. The page is made so that no key can be missing in it and none can be described wrongly.
+//! In: the schemas, each with the word of its kind. Out: one page of Markdown: every key with its type,
+//! unit, range, default and sentence, in the order of the schema; shapes that several kinds have alike
+//! stand once, at the end. The page is made so that no key can be missing in it and none can be described
+//! wrongly.
 
 use super::ordered::Json;
 use std::collections::{BTreeMap, BTreeSet};
