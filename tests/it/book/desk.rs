@@ -13,7 +13,7 @@ use std::os::unix::fs::symlink;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Where the example of the repository has its simulated devices, and its page.
 const EXAMPLE: &str = "127.0.0.2";
@@ -83,6 +83,8 @@ impl Desk {
             }
             let at = format!("{page}:{}: exit code {code}, not printed: {line:?}", block.line);
             assert!(begun.elapsed() < PATIENCE, "{at}\n{printed}");
+            // Programs that start without a break would take the core from the cell that is waited for.
+            std::thread::sleep(Duration::from_millis(200));
         }
     }
 
