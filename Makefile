@@ -134,8 +134,8 @@ DATA := $(or $(CELLD_DATA),../shared/data)
 # left to be written to the disk a commit. Without nextest they run one after the other.
 #
 # The unit tests of celld and of the crates that use OpenCV share a process each: one that links FFmpeg and
-# GDAL takes a tenth of a second to start. Those with the RealSense SDK do not: two of its pipelines that open in one process at
-# once corrupt its memory now and then (1 run in 25; celld has one).
+# GDAL takes a tenth of a second to start. Those with the RealSense SDK do not: two of its pipelines that
+# open in one process at once corrupt its memory now and then (1 run in 25; celld has one).
 SDK := test(/realsense::tests::/)
 SHARED := celld cell-calibration cell-machine cell-motion cell-vision
 CELLS := test(/(^|::)cell_/) | test(/^robot_session::/)

@@ -57,16 +57,16 @@ const TABLE: &[Row] = &[
         ]),
         pure: false,
     },
-    Row { module: "cell-motion", uses: Uses::Only(&["cell-values", "ur-arm", "rearrange"]), pure: true },
+    Row { module: "cell-motion", uses: Uses::Only(&["cell-values", "rearrange", "ur-arm"]), pure: true },
     Row {
         module: "cell-calibration",
         uses: Uses::Only(&[
+            "cell-motion",
             "cell-values",
-            "ur-arm",
+            "cell-vision",
             "rearrange::document",
             "rearrange::geometry",
-            "cell-vision",
-            "cell-motion",
+            "ur-arm",
         ]),
         pure: true,
     },
@@ -75,7 +75,7 @@ const TABLE: &[Row] = &[
         uses: Uses::AllAbove { but: &["cell-edge", "urscript", "cell-parts", "ur-sim"], also: &[] },
         pure: true,
     },
-    Row { module: "cell-replay", uses: Uses::Only(&["cell-values", "cell-machine"]), pure: true },
+    Row { module: "cell-replay", uses: Uses::Only(&["cell-machine", "cell-values"]), pure: true },
     Row {
         module: "perception",
         uses: Uses::Only(&[

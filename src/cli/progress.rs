@@ -1,7 +1,7 @@
 //! How far long work is, on stderr: a bar on a terminal, a line now and then in a log.
 //!
-//! In: how much there is, and each piece as it is done, from any thread. Out: progress that whoever waits can
-//! see, also where stderr is a file.
+//! In: how much there is, and each piece as it is done, from any thread. Out: progress that whoever waits
+//! can see, also where stderr is a file.
 
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;

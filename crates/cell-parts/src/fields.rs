@@ -60,8 +60,8 @@ pub fn required_number(
     decoder.number_in(&at, range, unit)
 }
 
-/// Least speed, acceleration, length or time in its unit: what is smaller is a slip of the pen, and a number to
-/// divide by.
+/// Least speed, acceleration, length or time in its unit: what is smaller is a slip of the pen, and a number
+/// to divide by.
 const LEAST: f64 = 1e-6;
 
 /// A required speed, acceleration, length or time: from [`LEAST`] to `most`, in `unit`.
@@ -159,8 +159,8 @@ pub fn host(decoder: &mut Decoder, fields: &Fields, key: &str) -> Option<String>
     Some(host)
 }
 
-/// True for an IP address (without brackets) and for a name as RFC 1123 has it, underscores included. Digits and
-/// dots alone are an address or nothing.
+/// True for an IP address (without brackets) and for a name as RFC 1123 has it, underscores included. Digits
+/// and dots alone are an address or nothing.
 pub fn is_host(text: &str) -> bool {
     if text.parse::<IpAddr>().is_ok() {
         return true;

@@ -199,7 +199,7 @@ mod tests {
             assert_eq!(numbers, Some([0.1, 1e-300, -3.0, 0.1 + 0.2]), "{text}");
             let list = decoder.sequence(&fields.optional("words").expect("words")).expect("list");
             for (item, word) in list.iter().zip(words) {
-                assert_eq!(decoder.text(item).as_deref(), Some(word), "{text}");
+                assert_eq!(item.node.scalar(), Some(word), "{text}");
             }
             let k = node.get("deep").and_then(|deep| deep.get("list")).expect("list");
             let items = decoder.sequence(&At::top(k)).expect("list");

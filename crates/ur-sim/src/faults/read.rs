@@ -420,7 +420,8 @@ impl<'n> Args<'n> {
         Some(Pose2::new(x, y, theta))
     }
 
-    /// Complains where none of `keys` is given: such a fault changes nothing, and a test with it shows nothing.
+    /// Complains where none of `keys` is given: such a fault changes nothing, and a test with it shows
+    /// nothing.
     fn any_of(&self, decoder: &mut Decoder, keys: &[&str]) {
         if keys.iter().all(|key| self.fields.optional(key).is_none()) {
             let message = format!("none of {} is given: nothing would happen", keys.join(", "));
