@@ -240,6 +240,7 @@ BOOK := out/book
 BOOK_LINKS := -e 's|href="\.\./ARCHITECTURE\.html|href="architecture.html|g' \
               -e 's|href="\.\./hardware/README\.html|href="hardware.html|g' \
               -e 's|href="\.\./calibration/README\.html|href="calibration-files.html|g' \
+              -e 's|href="\.\./packages/python/README\.html|href="python.html|g' \
               -e 's|href="\.\./docs/|href="|g'
 
 book:
@@ -301,7 +302,7 @@ DOC = $(PREFIX)/share/doc/celld
 HELPERS := set-up address-filter
 EXAMPLES := cell.yaml sim.yaml calibration/sim/camera.yaml calibration/sim/hand_eye.yaml calibration/sim/table.yaml
 # Without the pages that are there for the book alone: they include others.
-BOOK_ONLY := $(addprefix docs/,SUMMARY.md architecture.md calibration-files.md contributing.md hardware.md)
+BOOK_ONLY := $(addprefix docs/,SUMMARY.md architecture.md calibration-files.md contributing.md hardware.md python.md)
 PAGES = README.md ARCHITECTURE.md LICENSE-APACHE LICENSE-MIT config/README.md calibration/README.md packages/python/README.md \
         $(filter-out $(BOOK_ONLY),$(wildcard docs/*.md)) $(wildcard hardware/*.md hardware/*/*.md)
 INSTALLED = $(PREFIX)/bin/celld $(PREFIX)/bin/celld-sim \
