@@ -36,7 +36,9 @@ const length = Math.max(0.1, ...ends, run.sentences.at(-1)?.at ?? 0);
 
 const PIXELS = 640;
 const scale = PIXELS / Math.max(run.table[0], run.table[1], 0.01);
-const margin = 0.3 * scale;
+const margin = 0.06 * scale;
+// The arm's base is in front of the near edge.
+const front = 0.25 * scale;
 const [width, height] = run.table.map((side) => side * scale);
 const point = ([x, y]) => [x * scale, height - y * scale];
 const moved = ([px, py, theta]) => ([x, y]) => [px + Math.cos(theta) * x - Math.sin(theta) * y, py + Math.sin(theta) * x + Math.cos(theta) * y];
@@ -46,12 +48,12 @@ function arrow(from, to, number) {
   const [a, b] = [point(from), point(to)];
   const at = [0, 1].map((axis) => a[axis] + (b[axis] - a[axis]) / 3);
   return [s("line", { x1: a[0], y1: a[1], x2: b[0], y2: b[1], stroke: "currentColor", "stroke-width": 1.5, "marker-end": "url(#tip)" }),
-    s("text", { x: at[0], y: at[1] + 4, "text-anchor": "middle", "font-size": 13 }, String(number))];
+    s("text", { x: at[0], y: at[1] + 4, "text-anchor": "middle", "font-size": 17 }, String(number))];
 }
 
 /** From above: objects, what carries no marker, the rest of the plan, the arm. */
 function table(time, state) {
-  const view = s("svg", { viewBox: `${-margin} ${-margin} ${width + 2 * margin} ${height + 2 * margin}`, role: "img", "aria-label": "The table from above" });
+  const view = s("svg", { viewBox: `${-margin} ${-margin} ${width + 2 * margin} ${height + margin + front}`, role: "img", "aria-label": "The table from above" });
   view.append(s("defs", {}, s("marker", { id: "tip", viewBox: "0 0 8 8", refX: 7, refY: 4, markerWidth: 7, markerHeight: 7, orient: "auto" },
     s("path", { d: "M0 0 L8 4 L0 8 z", fill: "currentColor" }))),
   s("rect", { width, height, fill: "var(--table)", stroke: "currentColor" }));
@@ -62,7 +64,7 @@ function table(time, state) {
     if (!pose) continue;
     view.append(s("polygon", { points: corners(object.outline.map(moved(pose))), fill: object.colour, "fill-opacity": 0.75, stroke: "currentColor" }));
     const [x, y] = point(pose);
-    names.push(s("text", { x, y: y + 4, "text-anchor": "middle", "font-size": 13 }, object.id));
+    names.push(s("text", { x, y: y + 4, "text-anchor": "middle", "font-size": 17 }, object.id));
   }
   for (const outline of last(run.foreign, time)?.[1] ?? []) view.append(s("polygon", { points: corners(outline), fill: "none", stroke: "var(--wrong)", "stroke-width": 3 }));
   const plan = state?.job ? last(run.plans, time) : null;
@@ -77,7 +79,7 @@ function table(time, state) {
 
 /** From the side, x to the right and z up. */
 function side(time) {
-  const low = -0.2, high = 1.0;
+  const low = -0.1, high = 0.9;
   const view = s("svg", { viewBox: `${-margin} 0 ${width + 2 * margin} ${(high - low) * scale}`, role: "img", "aria-label": "The arm from the side" });
   const ground = (high) * scale;
   view.append(s("line", { x1: 0, x2: width, y1: ground, y2: ground, stroke: "currentColor", "stroke-width": 3 }));
@@ -110,11 +112,12 @@ function draw() {
   const state = last(run.states, now)?.[1];
   drawn.replaceChildren(table(now, state));
   flank.replaceChildren(side(now));
-  words.replaceChildren(h("div", {}, h("span", { class: state?.armed ? "armed" : "soft" }, state?.armed ? "armed" : "disarmed"), `; ${state?.text ?? "nothing is known yet"}`),
+  const lines = [h("div", {}, h("span", { class: state?.armed ? "armed" : "soft" }, state?.armed ? "armed" : "disarmed"), `; ${state?.text ?? "nothing is known yet"}`),
     h("div", {}, state?.job ? `job ${state.job}, ${state.moves} moves made` : "no job"),
     state?.held ? h("div", {}, `gripper: ${state.held}`) : null,
     state?.stopped ? h("div", { class: "wrong" }, `stopped: ${state.stopped}`) : null,
-    state?.hint ? h("div", {}, `to do: ${state.hint}`) : null);
+    state?.hint ? h("div", {}, `to do: ${state.hint}`) : null];
+  words.replaceChildren(...lines.filter(Boolean));
   const latest = last(run.pictures, now)?.[1];
   picture.hidden = !latest;
   if (latest && picture.src !== latest) picture.src = latest;
