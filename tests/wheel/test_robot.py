@@ -49,8 +49,8 @@ def test_a_robot_has_the_software_that_was_ordered():
 
 
 def test_polyscope_x_has_the_robot_api_in_place_of_the_dashboard():
-    with celld_sim.Robot(software="10.12.0", host="127.0.0.1", port_offset=8100, running=True) as robot:
-        assert (robot.ports.dashboard, robot.ports.robot_api) == (None, 8180)
+    with celld_sim.Robot(software="10.12.0", host="127.0.0.1", port_offset=1700, running=True) as robot:
+        assert (robot.ports.dashboard, robot.ports.robot_api) == (None, 1780)
         assert robot.robot_api("GET", "/robotstate/v1/robotmode")["mode"] == "RUNNING"
         with pytest.raises(celld_sim.SimulatorError, match="404"):
             robot.robot_api("GET", "/programs/v1/absent")
