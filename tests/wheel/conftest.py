@@ -28,7 +28,8 @@ def listens(host, port):
     """Whether a server accepts connections."""
     try:
         socket.create_connection((host, port), timeout=LONG).close()
-    except ConnectionRefusedError:
+    except (ConnectionRefusedError, ConnectionResetError):
+        # Reset: it closed while the connection was on its way.
         return False
     return True
 
