@@ -64,7 +64,7 @@ pub fn required_number(
 /// to divide by.
 const LEAST: f64 = 1e-6;
 
-/// A required speed, acceleration, length or time: from [`LEAST`] to `most`, in `unit`.
+/// A required speed, acceleration, length or time: from 1e-6 to `most`, in `unit`.
 pub fn required_positive(
     decoder: &mut Decoder,
     fields: &Fields,

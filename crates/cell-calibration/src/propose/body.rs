@@ -1,6 +1,6 @@
 //! The arm's body as lines along its links: what it hides from a fixed camera, and how near it comes to it.
 //!
-//! In: the arm's model and joints. Out: a [`Body`] in the base frame, distances in m. A drawing to propose
+//! In: the arm's model and joints. Out: a `Body` in the base frame, distances in m. A drawing to propose
 //! poses by, wide enough for that; the path check's heights and the person who gives `--yes` guard the arm.
 //! Pure.
 
