@@ -103,7 +103,9 @@ fn replay(args: &ReplayArgs) -> Result<u8, String> {
     let located = |what: String| format!("{}: {what}", args.file.display());
     let file = File::open(&args.file).map_err(|error| located(error.to_string()))?;
     let pictures = args.detect.then(Pictures::new).transpose().map_err(|error| chain(&error))?;
-    let mut run = Run { replay: Replay::default(), about: About::default(), pictures, page: None };
+    let title = args.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let page = args.page.as_ref().map(|_| Page::new(title, 0.0));
+    let mut run = Run { replay: Replay::default(), about: About::default(), pictures, page };
     let (mut test, mut read) = (None, 0_u64);
     let mut difference = None;
     let bar = ProgressBar::new_spinner();
@@ -112,8 +114,7 @@ fn replay(args: &ReplayArgs) -> Result<u8, String> {
             Ok(Item::About(metadata)) if metadata.name == ABOUT => {
                 run.about = About::of(&metadata.metadata);
                 test = args.as_test.as_ref().map(|to| test_file(to, &args.file, &run.about)).transpose()?;
-                let title = args.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-                run.page = args.page.as_ref().map(|_| Page::new(title, run.about.epoch_unix_s));
+                run.page = run.page.map(|page| page.since(run.about.epoch_unix_s));
             }
             Ok(Item::About(_)) => {}
             Ok(Item::Message(entry)) => {

@@ -124,7 +124,7 @@ pub fn replay_page(run: &RecordedRun) -> Result<String, serde_json::Error> {
          <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; \
          style-src 'unsafe-inline'; script-src 'unsafe-inline'\">\
          <title>{title} - celld</title><style>{STYLE}</style></head>\n<body><main>\n<h1>{title}</h1>\n\
-         <div id=\"run\"></div></main>\n<script type=\"application/json\" id=\"data\">{json}</script>\n\
+         <p class=\"soft\">A recording: nothing here is of now.</p>\n<div id=\"run\"></div></main>\n<script type=\"application/json\" id=\"data\">{json}</script>\n\
          <script>{SCRIPT}</script></body></html>\n"
     ))
 }

@@ -56,6 +56,12 @@ impl Page {
         }
     }
 
+    /// The same where the cell's time 0 was then, s since 1970; before anything is taken.
+    pub fn since(mut self, epoch_unix_s: f64) -> Page {
+        self.run.began_unix_s = epoch_unix_s;
+        self
+    }
+
     /// All of it.
     pub fn finish(self) -> RecordedRun {
         self.run
