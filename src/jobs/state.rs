@@ -4,8 +4,9 @@
 //! one. The lock is the kernel's and ends with the process, however it ends: there is no stale lock.
 
 use crate::jobs::utc;
+use cell_edge::file_lock::FileLock;
 use cell_edge::files::{
-    FileError, FileLock, create_folder, create_group_folder, read_regular, remove_drafts, write_atomic,
+    FileError, create_folder, create_group_folder, read_regular, remove_drafts, write_atomic,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};

@@ -80,12 +80,20 @@ impl Drop for Running {
 
 /// Waits for a condition, not for a time.
 pub(crate) fn wait_until(what: &str, condition: impl Fn() -> bool) {
+    assert!(eventually(condition), "{what}");
+}
+
+/// True as soon as the condition holds; false after [`PATIENCE`], for who can say more than its name.
+pub(crate) fn eventually(condition: impl Fn() -> bool) -> bool {
     let started = Instant::now();
     while !condition() {
-        assert!(started.elapsed() < PATIENCE, "{what}");
+        if started.elapsed() > PATIENCE {
+            return false;
+        }
         // Polling without a break would take the core from the processes that are polled.
         std::thread::sleep(Duration::from_millis(20));
     }
+    true
 }
 
 /// The example configuration at an address and a time factor of this test's own.

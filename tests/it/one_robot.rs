@@ -3,7 +3,8 @@
 //! first does meanwhile.
 
 use crate::cell::{
-    CELLD, LOG, Running, celld, configuration, copy_calibration, start_daemon, start_sim, text, wait_until,
+    CELLD, LOG, Running, celld, configuration, copy_calibration, eventually, start_daemon, start_sim, text,
+    wait_until,
 };
 use crate::edit::replace_once;
 use std::path::Path;
@@ -29,6 +30,8 @@ fn cell_second_daemon_on_one_robot_names_the_first_and_leaves_it_alone() {
     let _sim = start_sim(&sim);
     let first = start_daemon(folder.path(), &cell);
     let _watch = watch(folder.path());
+    // A change is what differs from what was seen before: who begins to watch later sees a cell that is armed.
+    wait_until("who watches sees it disarmed", || watched(folder.path()).contains("(disarmed)"));
     wait_until("the first is armed", || celld(&["arm"], folder.path()).status.code() == Some(0));
 
     let other = folder.path().join("other");
@@ -54,7 +57,8 @@ fn cell_second_daemon_on_one_robot_names_the_first_and_leaves_it_alone() {
     assert_eq!(failed(), None, "the first works on:\n{}", watched(folder.path()));
 
     for change in ["ARMED: the arm may move", "job one is taken up", "job one has ended"] {
-        wait_until(change, || watched(folder.path()).contains(change));
+        let seen = || watched(folder.path());
+        assert!(eventually(|| seen().contains(change)), "{change:?} is not in\n{}", seen());
     }
     drop(first);
     wait_until("who watches sees its end", || watched(folder.path()).contains("the daemon has ended"));

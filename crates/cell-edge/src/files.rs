@@ -6,7 +6,7 @@
 //! file.
 
 use rustix::fs::{CWD, OFlags, RenameFlags};
-use std::fs::{File, OpenOptions, Permissions, TryLockError};
+use std::fs::{File, OpenOptions, Permissions};
 use std::io::{self, Read, Write};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
@@ -70,7 +70,7 @@ pub enum Unfit {
 }
 
 impl FileError {
-    fn io(action: &'static str, path: &Path, source: io::Error) -> FileError {
+    pub(crate) fn io(action: &'static str, path: &Path, source: io::Error) -> FileError {
         FileError::Io { action, path: path.to_owned(), source }
     }
 
@@ -372,58 +372,6 @@ fn parent(path: &Path) -> &Path {
     }
 }
 
-/// An exclusive lock, held until it is dropped or the process ends in any way.
-#[derive(Debug)]
-pub struct FileLock {
-    _file: File,
-}
-
-impl FileLock {
-    /// Takes the lock and leaves `note` in the file; `None` when another process holds it.
-    ///
-    /// # Errors
-    /// The system refuses to open, lock or write the file ([`FileError::Io`]).
-    pub fn take(path: &Path, note: &str) -> Result<Option<FileLock>, FileError> {
-        let mut file = open_lock(path)?;
-        match file.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => return Ok(None),
-            Err(TryLockError::Error(e)) => return Err(FileError::io("lock", path, e)),
-        }
-        let write = file.set_len(0).and_then(|()| file.write_all(note.as_bytes()));
-        write.map_err(|e| FileError::io("write", path, e))?;
-        Ok(Some(FileLock { _file: file }))
-    }
-
-    /// True when some process holds the lock.
-    ///
-    /// # Errors
-    /// The file is present, but the system refuses to open it or to try the lock ([`FileError::Io`]).
-    pub fn is_held(path: &Path) -> Result<bool, FileError> {
-        // Only to read: who may see the state need not be able to change it.
-        let file = match File::open(path) {
-            Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(false),
-            other => other.map_err(|e| FileError::io("open", path, e))?,
-        };
-        match file.try_lock_shared() {
-            Ok(()) => Ok(false),
-            Err(TryLockError::WouldBlock) => Ok(true),
-            Err(TryLockError::Error(e)) => Err(FileError::io("lock", path, e)),
-        }
-    }
-}
-
-fn open_lock(path: &Path) -> Result<File, FileError> {
-    OpenOptions::new()
-        .read(true)
-        .write(true)
-        .create(true)
-        .truncate(false)
-        .custom_flags(OFlags::NOFOLLOW.bits().cast_signed())
-        .open(path)
-        .map_err(|e| FileError::io("open", path, e))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -577,18 +525,5 @@ mod tests {
         }
         assert_eq!(read_named(&path("text"), 3).unwrap_err().reason(), "larger than 3 bytes");
         assert!(read_named(&path("absent"), 3).unwrap_err().is_absent());
-    }
-
-    #[test]
-    fn a_lock_has_one_holder() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("lock");
-        assert!(!FileLock::is_held(&path).unwrap());
-        let lock = FileLock::take(&path, "1").unwrap().unwrap();
-        assert!(FileLock::is_held(&path).unwrap());
-        assert!(FileLock::take(&path, "2").unwrap().is_none());
-        drop(lock);
-        assert!(!FileLock::is_held(&path).unwrap());
-        assert!(FileLock::take(&path, "3").unwrap().is_some());
     }
 }
