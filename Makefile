@@ -129,7 +129,7 @@ try: setup
 # Tests that read public data pass without looking at anything where there is none: that has to be seen.
 DATA := $(or $(CELLD_DATA),../shared/data)
 
-# The whole cells over sockets (cell_*, robot_session) run by themselves, four at a time: most of their time
+# The whole cells over sockets (cell_*, robot_session) run by themselves, six at a time: most of their time
 # is real time that passes, but what computes beside them could hold a heartbeat up, and what the build has
 # left to be written to the disk a commit. Without nextest they run one after the other.
 #
@@ -151,7 +151,7 @@ test: setup
 	  cargo nextest run --workspace --no-run; \
 	  sync; \
 	  echo "cargo nextest run"; \
-	  cargo nextest run --workspace --profile cells --test-threads 4 -E '$(CELLS)'; \
+	  cargo nextest run --workspace --profile cells --test-threads 6 -E '$(CELLS)'; \
 	  cargo test --quiet $(SHARED:%=-p %) --lib -- --skip realsense::tests::; \
 	  cargo nextest run --workspace -E 'not (test(/^third_party::/) | $(CELLS) | (kind(lib) & ($(foreach crate,$(SHARED),package($(crate)) |) none()) - $(SDK)))'; \
 	else \

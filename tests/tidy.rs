@@ -97,6 +97,7 @@ const TABLE: &[Row] = &[
         module: "jobs",
         uses: Uses::Only(&[
             "cell-values",
+            "cell-edge::file_lock",
             "cell-edge::files",
             "rearrange",
             "cell-machine::code",

@@ -27,7 +27,8 @@ those of the fault table that the project started from, 0 is what a person does;
 process, clocks, files, the network) have tests of their own.
 
 Written by `celld simulate --faults sweep --write docs/reactions.md`; `celld simulate --faults sweep`
-compares the cell with it and checks the [rules](../ARCHITECTURE.md) after every step.
+compares the cell with it and checks the [rules](../ARCHITECTURE.md) after every step. `make test` does so with
+every fault in every second phase.
 
 | # | fault | phases | job | armed | held | operator reads | what to do | next job |
 |---|---|---|---|---|---|---|---|---|

@@ -1,7 +1,8 @@
 """Recordings of celld in other programs: the MCAP project's reader, Foxglove's published schemas.
 
-In: a folder with `whole.mcap`, `cut.mcap` (the writer was killed) and `repaired.mcap`. Out: a line for each
-check; the exit code is 1 when one failed.
+In: a folder with `whole.mcap`, `cut.mcap` (the writer was killed) and `repaired.mcap`; `small.mcap`, `cuts`
+and `repaired` with the same file cut anywhere, and these repaired. Out: a line for each check; the exit code
+is 1 when one failed.
 """
 
 import os
@@ -57,6 +58,24 @@ def schemas():
     check("the file has all schemas that the page on recordings names", names == wanted, f"{names}")
 
 
+def cut_anywhere():
+    """Of a file cut anywhere the streaming reader finds every finished chunk, the default one the same."""
+    small = messages("small.mcap")
+    known = set(small)
+    names = sorted(os.listdir(path("cuts")))
+    check("there are a thousand cut files", len(names) == 1000, f"{len(names)}")
+    differ = []
+    found = 0
+    for name in names:
+        finished = streamed(os.path.join("cuts", name))
+        repaired = messages(os.path.join("repaired", name))
+        found += finished
+        if len(repaired) != finished or not set(repaired) <= known:
+            differ.append(f"{name}: {finished} streamed, {len(repaired)} after repair")
+    check("cut anywhere, repaired files hold the finished chunks", not differ, "; ".join(differ[:5]))
+    check("of which there are many", found > 100 * len(small), f"{found} of {len(small)} messages a file")
+
+
 def main():
     """All checks."""
     schemas()
@@ -70,6 +89,7 @@ def main():
     repaired = messages("repaired.mcap")
     check("after repair the default reader finds the same", len(repaired) == finished, f"{len(repaired)}")
     check("and nothing else", set(repaired) <= set(whole))
+    cut_anywhere()
     finish()
 
 

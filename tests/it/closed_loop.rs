@@ -7,7 +7,9 @@ use cell_motion::slow::CalibrationBox;
 use celld::pair::eyes::Eye;
 use celld::pair::orders::{self, ORDERS_SEED};
 use celld::pair::orders_page;
+use celld::pair::outcome::Phase;
 use celld::pair::page::{PAGE, PAGE_SEED, expected, title};
+use celld::pair::reactions::{ROWS, Row};
 use celld::pair::run::{bring_up, run_jobs, true_poses};
 use celld::pair::storm::{storm, strikes};
 use celld::pair::sweep::{case, cases, judge};
@@ -45,12 +47,23 @@ fn the_page_of_reactions_has_every_case_and_no_other() {
     assert_eq!(page.len(), titles.len());
 }
 
-/// What `celld simulate --faults sweep` does.
+/// What `celld simulate --faults sweep` does, which wrote the page: here every fault in every second phase
+/// of those in which it can occur, each phase with the faults of every second row; all of them with
+/// CELLD_ALL_CASES=1, and by that command.
 #[test]
-fn every_fault_in_every_phase_has_the_reaction_that_the_page_gives() {
+fn every_fault_has_the_reaction_that_the_page_gives() {
     let stage = stage(PAGE_SEED, Eye::Corners).unwrap();
     let page = expected(PAGE);
-    let cases: Vec<_> = cases().collect();
+    let all = std::env::var_os("CELLD_ALL_CASES").is_some();
+    let rows = ROWS.iter().enumerate();
+    let chosen = |row: usize, phase: usize, of: usize| all || of == 1 || (row + phase).is_multiple_of(2);
+    let cases: Vec<(&Row, Phase)> = rows
+        .flat_map(|(number, row)| {
+            let phases = row.phases.iter().enumerate();
+            let phases = phases.filter(move |(phase, _)| chosen(number, *phase, row.phases.len()));
+            phases.map(move |(_, phase)| (row, *phase))
+        })
+        .collect();
     let wrong: Vec<String> = cases
         .par_iter()
         .flat_map_iter(|(row, phase)| {

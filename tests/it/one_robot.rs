@@ -30,7 +30,7 @@ fn cell_second_daemon_on_one_robot_names_the_first_and_leaves_it_alone() {
     let _sim = start_sim(&sim);
     let first = start_daemon(folder.path(), &cell);
     let _watch = watch(folder.path());
-    // A change is what differs from what was seen before: who begins to watch later sees a cell that is armed.
+    // A change is what differs from what was seen before: a look that comes later finds an armed cell.
     wait_until("who watches sees it disarmed", || watched(folder.path()).contains("(disarmed)"));
     wait_until("the first is armed", || celld(&["arm"], folder.path()).status.code() == Some(0));
 

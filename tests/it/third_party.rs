@@ -21,6 +21,8 @@ use celld::pair::eyes::Eye;
 use celld::pair::run::{bring_up, true_poses};
 use celld::pair::table::stage;
 use celld::pair::{Choice, Pair};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -117,8 +119,8 @@ fn pymodbus_drives_the_gripper_on_the_arm() {
     passes("vgc10_pymodbus.py", "127.71.0.5");
 }
 
-/// A cell that stands, with everything that a recording may hold.
-fn record(path: &Path) {
+/// A cell that stands, with everything that a recording may hold, pictures of this size.
+fn record(path: &Path, [width, height]: [usize; 2]) {
     let stage = stage(3, Eye::Corners).unwrap();
     let mut pair = Pair::new(stage.clone(), Choice::of(3)).unwrap();
     assert!(bring_up(&mut pair));
@@ -132,9 +134,9 @@ fn record(path: &Path) {
     recorder.on(at(0), &Scene::Route(&[step]));
     for k in 1..30 {
         let noise = |x: u32, y: u32| ((x * 7919 + y * 104_729 + k * 31) % 251) as u8;
-        let mut image = Image::filled(640, 480, [0; 3]);
+        let mut image = Image::filled(width, height, [0; 3]);
         for (index, byte) in image.rgb.iter_mut().enumerate() {
-            *byte = noise(index as u32 % 1920, index as u32 / 1920);
+            *byte = noise((index % (3 * width)) as u32, (index / (3 * width)) as u32);
         }
         recorder.on(at(k), &Scene::Displayed(&Displayed::Picture { image, views: Vec::new() }));
         recorder.on(at(k), &Scene::Robot(pair.machine().robot_state().expect("a state")));
@@ -147,16 +149,35 @@ fn record(path: &Path) {
     assert_eq!(recorder.close(), None);
 }
 
+/// The file cut at a thousand random places, and each of these repaired.
+fn cut_anywhere(path: &Path, folder: &Path) {
+    let whole = std::fs::read(path).unwrap();
+    let mut random = ChaCha8Rng::seed_from_u64(17);
+    for name in ["cuts", "repaired"] {
+        std::fs::create_dir(folder.join(name)).unwrap();
+    }
+    for number in 0..1_000 {
+        let at = random.random_range(16..whole.len());
+        for name in ["cuts", "repaired"] {
+            std::fs::write(folder.join(name).join(format!("{number}.mcap")), &whole[..at]).unwrap();
+        }
+        let repaired = repair(&folder.join(format!("repaired/{number}.mcap")));
+        assert!(matches!(repaired, Ok(Repaired::Mended { kept: None, .. })), "cut at {at}: {repaired:?}");
+    }
+}
+
 #[test]
 fn recordings_open_in_other_programs() {
     let Some(python) = python() else { return };
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name);
-    record(&file("whole.mcap"));
+    record(&file("whole.mcap"), [640, 480]);
     let whole = std::fs::read(file("whole.mcap")).unwrap();
     for name in ["cut.mcap", "repaired.mcap"] {
         std::fs::write(file(name), &whole[..whole.len() * 2 / 3]).unwrap();
     }
     assert!(matches!(repair(&file("repaired.mcap")), Ok(Repaired::Mended { .. })));
+    record(&file("small.mcap"), [64, 48]);
+    cut_anywhere(&file("small.mcap"), folder.path());
     runs(&python, "recordings.py", &folder.path().display().to_string());
 }

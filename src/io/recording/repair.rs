@@ -162,7 +162,7 @@ mod tests {
         let all = messages(&whole);
         assert_eq!(all.len(), 200);
         let mut random = ChaCha8Rng::seed_from_u64(11);
-        let (mut kept, cuts) = (0, 300);
+        let (mut kept, cuts) = (0, 1_000);
         for _ in 0..cuts {
             let at = random.random_range(MAGIC.len()..whole.len());
             std::fs::write(&path, &whole[..at]).unwrap();
