@@ -47,7 +47,7 @@ DEB_PACKAGES := dpkg-dev binutils
 PACKAGES_BUILT := $(BUILD)/packages
 MOST_MEGABYTES := 15
 
-.PHONY: help setup clients demo try test test-clients test-page book bench figures fuzz fuzz-corpus
+.PHONY: help setup clients demo try test test-clients test-page bench-page book bench figures fuzz fuzz-corpus
 .PHONY: release install uninstall deb test-deb sim-static wheel image test-wheel test-image
 
 help:
@@ -55,6 +55,7 @@ help:
 	@echo "make try                            a simulated cell to watch and operate in the browser"
 	@echo "make test                           formatting, lints, documentation, all tests but those of the next line"
 	@echo "make test-page                      the page in a browser (installs Chromium)"
+	@echo "make bench-page                     what viewers of the page cost the loop and the processor (ten minutes)"
 	@echo "make test-clients                   other people's clients against the simulator (installs them), and test-wheel"
 	@echo "make sim-static                     the simulator alone, one file that runs on any Linux"
 	@echo "make wheel, make test-wheel         the same in a Python package with a pytest fixture"
@@ -231,6 +232,11 @@ test-page: setup $(PAGE)/installed.txt
 	@$(call install,$(PAGE_PACKAGES))
 	cargo build --bin celld
 	$(PAGE)/bin/python tests/page/operate.py $(BUILD)/debug/celld $(PAGE)/pictures
+
+# Figures, none of them judged: the loop with 20 viewers and without, in turn; one who watches the film.
+bench-page:
+	cargo build --release --bin celld
+	python3 -B tests/page/viewers.py $(BUILD)/release/celld
 
 # The pages of docs/ as a book. mdBook is built once, without its server. Chapters that lie elsewhere in the
 # repository are included by a page of docs/; links to them lead to that page in the book.

@@ -74,7 +74,7 @@ class Cell:
     def approve(self, job: str) -> Reply:
         """Agrees to the plan that the status shows for a job."""
         plan = self.status().get("plan") or {}
-        body = {"command": {"do": "approve", "id": job}, "plan_unix_s": plan.get("unix_s")}
+        body = {"command": {"do": "approve", "id": job, "plan": plan.get("number")}}
         with self._open("/api/v1/orders", body) as answer:
             return Reply(**json.load(answer))
 

@@ -266,6 +266,7 @@ async fn live(
         camera: Box::new(camera),
         sight: Sight::Markers(Box::new(detector)),
         diagnostic_images: None,
+        film: None,
     });
     shell.commission(nominal_model(config, &arm, &lens.model), false);
     let mut samples = Samples::new(&progress);

@@ -2,7 +2,7 @@
 //!
 //! In: `--state` on the command line; faults. Out: the state folder, and a fault with its causes on stderr.
 
-use crate::jobs::command::{Command, Given, Sent};
+use crate::jobs::command::{Command, FOR_ANOTHER, Given, Sent};
 use crate::jobs::journal::JournalError;
 use crate::jobs::state::{StateError, StateFolder};
 use crate::jobs::status::{STARTING, Status};
@@ -83,14 +83,45 @@ pub(super) fn exit_2(text: &str) -> u8 {
 /// How long a daemon may take to answer.
 const ANSWER_WITHIN: Duration = Duration::from_secs(10);
 
+/// How long a daemon may take from its start to its first status.
+const START_WITHIN: Duration = Duration::from_secs(20);
+
 /// How often the answer is looked for.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
 /// Gives a command and waits for its answer.
 pub(super) fn request(state: &StateFolder, command: &Command) -> Result<Reply, ClientError> {
-    let daemon = running_daemon(state)?;
+    let status = running_daemon(state)?;
+    if status.state == STARTING {
+        return Err(ClientError::Starting(status.message));
+    }
+    sent(state, &status.daemon, command)
+}
+
+/// The same for what a daemon that waits for its robot takes too; one that has just been started is waited
+/// for.
+pub(super) fn request_at_start(state: &StateFolder, command: &Command) -> Result<Reply, ClientError> {
+    let begun = Instant::now();
+    loop {
+        let answered = running_daemon(state).and_then(|status| sent(state, &status.daemon, command));
+        match answered {
+            // Its status may still be that of an earlier daemon, whose name no command reaches.
+            Err(ClientError::NoDaemon(_) | ClientError::NoAnswer(_) | ClientError::NoReply(_))
+                if begun.elapsed() < START_WITHIN && state.is_taken()? =>
+            {
+                std::thread::sleep(LOOK_EVERY);
+            }
+            Ok(reply) if reply.message == FOR_ANOTHER && begun.elapsed() < START_WITHIN => {
+                std::thread::sleep(LOOK_EVERY);
+            }
+            answered => return answered,
+        }
+    }
+}
+
+fn sent(state: &StateFolder, daemon: &str, command: &Command) -> Result<Reply, ClientError> {
     let given = Given { unix_s: unix_now_s(), boot_s: boot_now_s() };
-    let sent = Sent::send(&state.commands(), &daemon, command, given)?;
+    let sent = Sent::send(&state.commands(), daemon, command, given)?;
     let begun = Instant::now();
     while begun.elapsed() < ANSWER_WITHIN {
         if let Some(reply) = sent.poll()? {
@@ -103,15 +134,11 @@ pub(super) fn request(state: &StateFolder, command: &Command) -> Result<Reply, C
     Err(if sent.withdraw()? { ClientError::NoAnswer(seconds) } else { ClientError::NoReply(seconds) })
 }
 
-/// The name of the daemon that runs on `state`.
-fn running_daemon(state: &StateFolder) -> Result<String, ClientError> {
+/// The status of the daemon that runs on `state`.
+fn running_daemon(state: &StateFolder) -> Result<Status, ClientError> {
     let none = || ClientError::NoDaemon(state.root().to_owned());
     if !state.is_taken()? {
         return Err(none());
     }
-    let status = Status::read(&state.status())?.ok_or_else(none)?;
-    if status.state == STARTING {
-        return Err(ClientError::Starting(status.message));
-    }
-    Ok(status.daemon)
+    Status::read(&state.status())?.ok_or_else(none)
 }

@@ -11,8 +11,10 @@ use crate::config::empty::compare_with_empty;
 use crate::config::load::load_cell;
 use crate::config::setup::{Measured, cell_model, cell_objects, gripper_address, machine_parameters, scene};
 use crate::daemon::cameras;
+use crate::daemon::film::Film;
 use crate::daemon::keeper::{Identities, StateKeeper};
 use crate::daemon::last_picture::LastPicture;
+use crate::daemon::reception::Reception;
 use crate::daemon::recorder::{self, Recorder};
 use crate::daemon::shell::{Observer, Scene, Shell, StartError};
 use crate::daemon::sockets::Addresses;
@@ -22,16 +24,18 @@ use crate::daemon::workers::{PerceptionSetup, Sight};
 use crate::doctor::files::blocked_poses;
 use crate::io::camera::monitored::MonitoredCamera;
 use crate::jobs::state::StateFolder;
-use crate::page::app;
 use crate::page::feed::{Feed, KnownCell, Watcher};
 use crate::page::orders::{WithPage, desk};
 use crate::page::shared::Setup;
+use crate::page::texts::Texts;
+use crate::page::{ServeError, app};
 use crate::perception::Perception;
 use cell_calibration::files::set::CalibrationSet;
 use cell_edge::clock::{Clock, unix_now_s};
 use cell_edge::priority;
 use cell_edge::terminal::complain;
 use cell_machine::event::Arm;
+use cell_machine::supervisor::model::CellModel;
 use cell_values::time::Timestamp;
 use cell_vision::camera::CameraModel;
 use cell_vision::detect::DetectSettings;
@@ -48,6 +52,9 @@ const NAMES_AGAIN: std::time::Duration = std::time::Duration::from_secs(2);
 /// From the robot's first answer to the first turn: the camera is opened, the empty table's pictures are
 /// read.
 const START_WITHIN: std::time::Duration = std::time::Duration::from_secs(120);
+
+/// What is said between the robot's first answer and the first turn.
+const OPENING: &str = "the robot answers; the camera is opened and the table's pictures are read";
 
 /// `celld run`
 #[derive(Args, Clone, Debug)]
@@ -196,7 +203,8 @@ async fn daemon(
     let watchdog = Watchdog::start(beats.clone());
     let (diagnostic_images, name) = (state.root().to_path_buf(), format!("celld-{seed}"));
     let confirmed = state.gripper_confirmed(&gripper_address(&config.devices));
-    let Opened { mut keeper, orders, feed } = opened(&config, &config_file, state, name)?;
+    let Opened { mut keeper, orders, feed, film } = opened(&config, &config_file, state, name)?;
+    let reception = Reception::open(orders);
     for notice in keeper.notices() {
         tracing::warn!("{notice}");
     }
@@ -211,11 +219,7 @@ async fn daemon(
     let mut shell = shell_when_named(&config, seed, &stop, &mut say).await?.watched(beats.clone());
     let starting = beats.task("the start", START_WITHIN);
     let arm = shell.wait_for_robot(&stopped, &mut say).await.map_err(|error| chain(&error))?;
-    waits_for(
-        &keeper,
-        &watchdog,
-        "the robot answers; the camera is opened and the table's pictures are read",
-    );
+    waits_for(&keeper, &watchdog, OPENING);
     starting.now();
     let measured = measured(&config, &calibration, &arm)?;
     let mut model = cell_model(&config, &measured).map_err(|error| error.to_string())?;
@@ -224,17 +228,18 @@ async fn daemon(
     for pose in blocked_poses(&config, &model) {
         tracing::warn!("taught pose {pose}; the arm will not go there");
     }
-    shell.see_with(perception_setup(&config, &measured, &arm, diagnostic_images)?);
+    let eyes = perception_setup(&config, &measured, &arm, diagnostic_images)?;
+    shell.see_with(PerceptionSetup { film: film.clone(), ..eyes });
     let (pictures, lens) = (LastPicture::new(Some(measured.camera.clone())), measured.camera.clone());
-    feed.known(KnownCell { model: model.clone(), lens: lens.clone(), pictures: pictures.clone() });
+    feed.known(known_cell(&model, &calibration, &arm, &pictures));
     shell.commission(model, config.arm_at_start);
     let keeper =
         keeper.with(pictures.clone(), &config_file, identities(&arm, &measured), shell.last_answers());
-    shell.keep_in(Box::new(keeper), Box::new(orders));
+    shell.keep_in(Box::new(keeper), Box::new(reception.close()?));
     tracing::info!("celld runs; job files go into the state folder's jobs/incoming, Ctrl-C ends");
     starting.rests();
     let recorder = config.recording.as_ref().map(|to| recorder::start(to, Some(lens))).transpose()?;
-    let mut lines = Lines { recorder, pictures, watchdog, feed: feed.observer() };
+    let mut lines = Lines { recorder, pictures, watchdog, feed: feed.observer().with_film(film.clone()) };
     let ended = shell.run(&mut lines, &stop).await.map_err(|error| error.to_string());
     lines.watchdog.stopping();
     if let Some(fault) = lines.recorder.as_mut().and_then(Recorder::close) {
@@ -243,12 +248,25 @@ async fn daemon(
     ended
 }
 
+/// What the page shows of the cell.
+fn known_cell(
+    model: &CellModel,
+    calibration: &CalibrationSet,
+    arm: &Arm,
+    pictures: &LastPicture,
+) -> KnownCell {
+    let (model, lens) = (model.clone(), calibration.camera.clone());
+    KnownCell { model, lens, arm: arm.clone(), pictures: pictures.clone() }
+}
+
 /// The state folder in use, and what the page shows; without `page:` nothing is served, and the rest is the
 /// same.
 struct Opened {
     keeper: StateKeeper,
     orders: WithPage<StateOrders>,
     feed: Feed,
+    /// Where a page is served.
+    film: Option<Film>,
 }
 
 fn opened(
@@ -260,17 +278,31 @@ fn opened(
     let orders = StateOrders::open(&state, name.clone(), gripper_address(&config.devices))
         .map_err(|error| chain(&error))?;
     let ((desk, join), feed) = (desk(), Feed::default());
-    let mut office = None;
+    let (mut office, mut film) = (None, None);
     if let Some(page) = &config.page {
         let config_name = config_file.file_stem().map(|stem| stem.to_string_lossy().into_owned());
         let (config_name, state) = (config_name.unwrap_or_default(), state.clone());
-        let setup = Setup { page, cell: config, config_name, state, feed: feed.clone(), desk };
+        let (shown, pictures) = Film::new();
+        let texts = Texts::read(&page.texts);
+        let texts = texts.map_err(|(file, reason)| ServeError::Texts { file, reason }.to_string())?;
+        let setup = Setup {
+            page,
+            cell: config,
+            config_name,
+            state,
+            feed: feed.clone(),
+            desk,
+            film: shown.clone(),
+            pictures,
+            texts,
+        };
         office = Some(app::start(setup).map_err(|error| chain(&error))?);
+        film = Some(shown);
     }
     let published = feed.clone();
     let keeper = StateKeeper::open(config.clone(), state, name).map_err(|error| chain(&error))?;
     let keeper = keeper.published(Box::new(move |status| published.status(status)));
-    Ok(Opened { keeper, orders: join(orders.with_office(office)), feed })
+    Ok(Opened { keeper, orders: join(orders.with_office(office)), feed, film })
 }
 
 fn identities(arm: &Arm, measured: &Measured) -> Identities {
@@ -296,7 +328,12 @@ fn perception_setup(
     compare_with_empty(scene.foreign.as_mut(), config, measured, arm)?;
     let perception = Perception::new(scene, DetectSettings::default()).map_err(|error| chain(&error))?;
     let sight = Sight::Cell(Box::new(perception));
-    Ok(PerceptionSetup { camera: Box::new(camera), sight, diagnostic_images: Some(diagnostic_images) })
+    Ok(PerceptionSetup {
+        camera: Box::new(camera),
+        sight,
+        diagnostic_images: Some(diagnostic_images),
+        film: None,
+    })
 }
 
 /// The recording, the last picture, the line for the service manager; sentences go into the log

@@ -210,6 +210,7 @@ mod tests {
         journal.found("tidy", std::slice::from_ref(&at), std::slice::from_ref(&goal)).unwrap();
         let step = PlanStep { object: "plank-1".into(), from: at.pose, to: goal.pose, kind: StepKind::Goal };
         let plan = PlanRecord {
+            number: 1,
             steps: vec![step],
             lower_bound: Some(1.0),
             seconds: Some(8.0),

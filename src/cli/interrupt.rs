@@ -16,6 +16,10 @@ pub fn watch_every(stop: &Arc<AtomicBool>) {
             let signals = [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()];
             let arrivals = signals.into_iter().filter_map(|kind| signal(kind).ok());
             let mut arrivals: Vec<_> = arrivals.collect();
+            // Without signals on this system the process ends as ever.
+            if arrivals.is_empty() {
+                return;
+            }
             let first = arrivals.iter_mut().map(|arrival| Box::pin(arrival.recv()));
             futures_util::future::select_all(first).await;
             stop.store(true, Ordering::Relaxed);

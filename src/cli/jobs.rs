@@ -176,7 +176,7 @@ fn to_send(command: ClientCommand) -> (StateFolder, Command) {
         ClientCommand::Abort(state) => (state.folder(), Command::Abort),
         ClientCommand::Park(state) => (state.folder(), Command::Park),
         ClientCommand::ConfirmGripper(state) => (state.folder(), Command::ConfirmGripper),
-        ClientCommand::Approve(job) => (job.state.folder(), Command::Approve { id: job.id }),
+        ClientCommand::Approve(job) => (job.state.folder(), Command::Approve { id: job.id, plan: None }),
         ClientCommand::Reject(job) => (job.state.folder(), Command::Reject { id: job.id }),
         ClientCommand::Cancel(job) => (job.state.folder(), Command::Cancel { id: job.id }),
         ClientCommand::Release { state, channel, yes: _ } => {
@@ -248,7 +248,7 @@ mod tests {
     fn words_become_commands() {
         assert_eq!(command("arm"), Command::Arm);
         assert_eq!(command("confirm-gripper"), Command::ConfirmGripper);
-        assert_eq!(command("approve tidy --state /s"), Command::Approve { id: "tidy".into() });
+        assert_eq!(command("approve tidy --state /s"), Command::Approve { id: "tidy".into(), plan: None });
         assert_eq!(
             command("release --yes --channel b"),
             Command::Release { channel: Some(ReleaseChannel::B) }

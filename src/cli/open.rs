@@ -2,9 +2,10 @@
 //!
 //! In: the state folder of a running daemon, which knows who gives the command by the owner of its file.
 //! Out: a browser that is signed in; with `--print` a link that counts once, for two minutes; with
-//! `--token` a secret for a program. Exit code 1 where there is no daemon or no page.
+//! `--token` a secret for a program; with `--revoke` what was given to a name is void. A daemon that is
+//! still starting is waited for. Exit code 1 where there is no daemon or no page.
 
-use crate::cli::client::{ClientError, StateArg, request};
+use crate::cli::client::{ClientError, StateArg, request_at_start};
 use crate::cli::task::outln;
 use crate::jobs::command::{Command, SignIn};
 use cell_machine::orders::Role;
@@ -35,13 +36,25 @@ pub struct OpenArgs {
     /// How long the token lasts, days
     #[arg(long, default_value_t = TOKEN_DAYS, requires = "token")]
     days: u32,
+    /// End all sessions, tokens and links of this name, at once
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["print", "token", "name"])]
+    revoke: Option<String>,
 }
 
 /// Runs the command; the exit code.
 pub(super) fn open(args: &OpenArgs) -> Result<u8, ClientError> {
+    if let Some(name) = args.revoke.clone() {
+        let reply = request_at_start(&args.state.folder(), &Command::SignOut { name })?;
+        if reply.accepted {
+            outln!("{}", reply.message);
+        } else {
+            cell_edge::terminal::complain(&reply.message);
+        }
+        return Ok(u8::from(!reply.accepted));
+    }
     let token_days = args.token.then_some(args.days);
     let wanted = SignIn { role: args.role, name: args.name.clone(), token_days };
-    let reply = request(&args.state.folder(), &Command::SignIn(wanted))?;
+    let reply = request_at_start(&args.state.folder(), &Command::SignIn(wanted))?;
     if !reply.accepted {
         cell_edge::terminal::complain(&reply.message);
         return Ok(1);

@@ -6,11 +6,11 @@
 //! again; 1 something differs, or a file could not be repaired; 2 a file that is no recording, or has
 //! nothing to replay.
 
-mod page;
 mod pictures;
 
 use crate::cli::client::StateArg;
 use crate::config::load::load_cell;
+use crate::daemon::playback::Playback;
 use crate::daemon::recorder::{piece_of, topic_of};
 use crate::io::recording::read::{Entry, Item, Items};
 use crate::io::recording::repair::{Repaired, is_whole, repair};
@@ -18,11 +18,10 @@ use crate::io::recording::{ABOUT, Recording, log_time_at};
 use crate::jobs::status::Status;
 use crate::report::replay_page::replay_page;
 use cell_edge::terminal::{complain, print};
-use cell_replay::{Difference, Kind, Piece, Replay, Replayed, effect_of, event_of};
+use cell_replay::{Difference, Kind, Piece, Replay, Replayed};
 use cell_values::time::Timestamp;
 use clap::{Args, Subcommand};
 use indicatif::ProgressBar;
-use page::{PICTURES, Page};
 use pictures::Pictures;
 use rearrange::document::chain::chain;
 use std::collections::BTreeMap;
@@ -104,7 +103,7 @@ fn replay(args: &ReplayArgs) -> Result<u8, String> {
     let file = File::open(&args.file).map_err(|error| located(error.to_string()))?;
     let pictures = args.detect.then(Pictures::new).transpose().map_err(|error| chain(&error))?;
     let title = args.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let page = args.page.as_ref().map(|_| Page::new(title, 0.0));
+    let page = args.page.as_ref().map(|_| Playback::new(title, 0.0));
     let mut run = Run { replay: Replay::default(), about: About::default(), pictures, page };
     let (mut test, mut read) = (None, 0_u64);
     let mut difference = None;
@@ -158,7 +157,7 @@ struct Run {
     replay: Replay,
     about: About,
     pictures: Option<Pictures>,
-    page: Option<Page>,
+    page: Option<Playback>,
 }
 
 impl Run {
@@ -169,22 +168,8 @@ impl Run {
             pictures.take(entry, kind);
         }
         let found = kind.map_or(Ok(None), |kind| self.replay.take(kind, &entry.data))?;
-        let Some(page) = &mut self.page else { return Ok(found) };
-        match kind {
-            Some(Kind::Event) => {
-                if let Some((at, event)) = event_of(&entry.data) {
-                    page.event(at, &event, self.replay.machine());
-                }
-            }
-            Some(Kind::Effect) => {
-                if let Some(effect) = effect_of(&entry.data) {
-                    page.effect(self.replay.so_far().until, &effect);
-                }
-            }
-            None if entry.channel.topic == PICTURES => {
-                page.picture(log_time_at(self.about.epoch_unix_s, entry.log_time), entry);
-            }
-            Some(Kind::Machine) | None => {}
+        if let Some(page) = &mut self.page {
+            page.take(entry, &self.replay, self.about.epoch_unix_s);
         }
         Ok(found)
     }

@@ -13,6 +13,7 @@ use crate::jobs::journal::old::HistoryLimits;
 use cell_calibration::drawn::CameraMount;
 use cell_machine::orders::Approval;
 use cell_machine::supervisor::model::ForeignRule;
+use cell_machine::supervisor::round::RoundOrder;
 use cell_motion::slow::CalibrationBox;
 use cell_parts::gripper::GripperConfig;
 use cell_parts::reference::ReferenceMarkerConfig;
@@ -88,6 +89,11 @@ pub struct CellConfig {
 }
 
 impl CellConfig {
+    /// The round that a person orders at the page: the taught poses.
+    pub fn calibration_round(&self) -> RoundOrder {
+        RoundOrder { poses: self.calibration_poses.clone(), room: self.calibration_box }
+    }
+
     /// Overlap that the goals of a job may have, m: three standard deviations of where the camera finds an
     /// object, for goals may have been measured. Goals typed by hand that overlap by more are a mistake. It
     /// does not grow with `tolerances.goal_position_m`, which says how near is near enough.

@@ -19,6 +19,8 @@ pub struct PageConfig {
     pub control_from: Vec<IpAddr>,
     /// Certificate and key, PEM files.
     pub tls: Option<TlsFiles>,
+    /// Files with its texts in other languages.
+    pub texts: Vec<PathBuf>,
 }
 
 /// A certificate with its chain, and its key; PEM.
@@ -53,12 +55,15 @@ impl PageConfig {
 
 /// Reads the section.
 pub(super) fn page(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<PageConfig> {
-    let fields = decoder.map(at, &["listen", "hosts", "control_from", "tls"])?;
+    let fields = decoder.map(at, &["listen", "hosts", "control_from", "tls", "texts"])?;
     let listen = optional(decoder, &fields, "listen", LISTEN, address);
     let hosts = optional(decoder, &fields, "hosts", Vec::new(), |d, at| list(d, at, host_name));
     let control_from = optional(decoder, &fields, "control_from", Vec::new(), |d, at| list(d, at, computer));
     let tls = optional(decoder, &fields, "tls", None, |d, at| tls(d, at, folder).map(Some));
-    let config = PageConfig { listen: listen?, hosts: hosts?, control_from: control_from?, tls: tls? };
+    let file = |d: &mut Decoder, at: &At| path(d, at, folder);
+    let texts = optional(decoder, &fields, "texts", Vec::new(), |d, at| list(d, at, file));
+    let config =
+        PageConfig { listen: listen?, hosts: hosts?, control_from: control_from?, tls: tls?, texts: texts? };
     if !config.listen.ip().is_loopback() && config.tls.is_none() {
         complain_open(decoder, at, &fields, config.listen);
         return None;
@@ -130,6 +135,8 @@ mod tests {
             let complaint = read_page(open).unwrap_err();
             assert!(complaint.contains("other computers") && complaint.contains("tls"), "{complaint}");
         }
+        let texts = read_page("{texts: [fr.json, /es.json]}").unwrap().texts;
+        assert_eq!(texts, [Path::new("/etc/celld/fr.json"), Path::new("/es.json")]);
         let tls = "{listen: '0.0.0.0:443', tls: {certificate: c.pem, key: /k.pem}, hosts: [Cell-1.plant]}";
         let open = read_page(tls).unwrap();
         assert_eq!(open.tls.as_ref().unwrap().certificate, Path::new("/etc/celld/c.pem"));

@@ -1,7 +1,6 @@
 //! From configuration and calibration to the parameter structs of supervisor, perception and devices.
 //!
-//! In: a checked [`CellConfig`], what calibration found, the kinematics the controller reported. Out: plain
-//! structs; no other part of the daemon reads the configuration. Pure.
+//! In: a checked [`CellConfig`], what calibration found, the reported kinematics. Out: plain structs. Pure.
 
 use crate::config::bodies::Equipment;
 use crate::config::cell::{CellConfig, Devices};
@@ -124,6 +123,7 @@ fn model_of(config: &CellConfig, measured: &Measured, objects: Vec<CellObject>) 
         frames_per_view: 2,
         sight: sight(config, measured),
         park: config.park_pose,
+        round: config.calibration_round(),
         workspace: Workspace { width: config.workspace.width_m, height: config.workspace.height_m },
         clearance: config.workspace.clearance_m,
         keep_out: config.obstacles(),

@@ -6,6 +6,7 @@
 use crate::config::cell::CellConfig;
 use crate::jobs::record::{GoalPose, PlanRecord, PlanStep, StepKind};
 use crate::jobs::utc;
+use crate::report::colour;
 use crate::report::route_svg::{DrawnMove, DrawnPlan};
 use cell_edge::files::{FileError, write_whole};
 use cell_machine::supervisor::input::PlanNote;
@@ -32,6 +33,7 @@ pub fn record_of(note: &PlanNote, unix_s: f64) -> PlanRecord {
         PlanStep { object: object.clone(), from: *from, to: *to, kind }
     };
     PlanRecord {
+        number: note.number,
         steps: note.actions.iter().map(step).collect(),
         lower_bound: finite(note.lower_bound),
         seconds: finite(note.seconds),
@@ -52,13 +54,14 @@ pub fn action_of(step: &PlanStep) -> RouteAction {
 /// knows are left out.
 pub fn drawn_moves(plan: &PlanRecord, cell: &CellConfig) -> Vec<moves::DrawnMove> {
     let drawn = |(index, step): (usize, &PlanStep)| {
-        let object = cell.objects.iter().find(|object| object.id == step.object)?;
+        let (place, object) = cell.objects.iter().enumerate().find(|(_, object)| object.id == step.object)?;
         Some(moves::DrawnMove {
             number: index + 1,
             from: step.from,
             to: step.to,
             height_m: object.height.unwrap_or(0.0),
             outline: object.footprint.outline(OUTLINE_CORNERS),
+            colour: colour::rgb(place).map(|share| (share * 255.0).round() as u8),
         })
     };
     plan.steps.iter().enumerate().filter_map(drawn).collect()
@@ -79,7 +82,7 @@ pub fn write(folder: &Path, id: &str, plan: &PlanRecord, cell: &CellConfig) -> R
 
 fn plan_json(id: &str, plan: &PlanRecord) -> serde_json::Value {
     json!({
-        "job": id, "preview": plan.preview, "sight_age_s": plan.sight_age_s, "made": utc::text(plan.unix_s),
+        "job": id, "number": plan.number, "preview": plan.preview, "sight_age_s": plan.sight_age_s, "made": utc::text(plan.unix_s),
         "moves": plan.steps.len(), "buffers": plan.buffers(), "lower_bound": plan.lower_bound,
         "seconds": plan.seconds, "actions": plan.steps, "table": plan.table,
     })

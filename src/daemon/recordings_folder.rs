@@ -50,6 +50,22 @@ struct Kept {
     changed: Option<SystemTime>,
 }
 
+/// The files of a job in the folder, the oldest first.
+pub fn recordings_of(folder: &Path, job: &str) -> Vec<PathBuf> {
+    let stem = Segment::Job(job.to_string()).stem();
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let is_of_it = |name: &String| {
+        // Another job may be called as this one and more.
+        let time = name.strip_prefix(&stem).unwrap_or_default().as_bytes();
+        let dated = [(4, b'-'), (7, b'-'), (10, b'T')].iter().all(|(at, mark)| time.get(*at) == Some(mark));
+        dated && time.iter().take(4).all(u8::is_ascii_digit) && name.ends_with(".mcap")
+    };
+    let mut names: Vec<String> =
+        entries.filter_map(|entry| entry.file_name().into_string().ok()).filter(is_of_it).collect();
+    names.sort();
+    names.into_iter().map(|name| folder.join(name)).collect()
+}
+
 /// The folder and its limits.
 #[derive(Clone, Debug)]
 pub struct RecordingsFolder {
@@ -226,6 +242,27 @@ mod tests {
 
     fn folder(of: &Path, budget: u64, reserve: u64) -> RecordingsFolder {
         RecordingsFolder { folder: of.to_path_buf(), budget, reserve }
+    }
+
+    #[test]
+    fn a_job_has_its_own_files_and_not_those_of_one_that_is_called_longer() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in [
+            "job-a-2026-11-26T041000Z_002.mcap",
+            "job-a-2026-11-26T041000Z.mcap",
+            "job-a-b-2026-11-26T041000Z.mcap",
+            "job-a-2026-11-26T041000Z.txt",
+            "idle-2026-11-26T041000Z.mcap",
+        ] {
+            std::fs::write(folder.path().join(name), "").unwrap();
+        }
+        let of = |job: &str| -> Vec<String> {
+            let files = recordings_of(folder.path(), job);
+            files.iter().map(|path| path.file_name().unwrap().to_string_lossy().into_owned()).collect()
+        };
+        assert_eq!(of("a"), ["job-a-2026-11-26T041000Z.mcap", "job-a-2026-11-26T041000Z_002.mcap"]);
+        assert_eq!((of("a-b").len(), of("c").len()), (1, 0));
+        assert!(recordings_of(Path::new("/nowhere"), "a").is_empty());
     }
 
     #[test]

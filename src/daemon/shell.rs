@@ -29,6 +29,7 @@ use cell_machine::supervisor::status::{Device, Doing, Status};
 use cell_values::time::Timestamp;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{SyncSender, TrySendError};
 use std::time::Duration;
 use tokio::sync::mpsc;
 
@@ -141,7 +142,7 @@ pub struct Shell {
     sockets: Sockets,
     messages: mpsc::Receiver<Message>,
     messages_in: mpsc::Sender<Message>,
-    eyes: Option<mpsc::Sender<(u64, SeeRequest)>>,
+    eyes: Option<SyncSender<(u64, SeeRequest)>>,
     /// Ends the planning run under way.
     planning: Option<Arc<AtomicBool>>,
     store: Option<Store>,
@@ -471,7 +472,9 @@ impl Shell {
 
     fn see(&mut self, now: Timestamp, number: u64, request: SeeRequest, observer: &mut dyn Observer) {
         let refused = match &self.eyes {
-            Some(eyes) => eyes.try_send((number, request)).err().map(|error| error.into_inner().1),
+            Some(eyes) => eyes.try_send((number, request)).err().map(|error| match error {
+                TrySendError::Full((_, request)) | TrySendError::Disconnected((_, request)) => request,
+            }),
             None => Some(request),
         };
         if let Some(request) = refused {

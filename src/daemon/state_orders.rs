@@ -20,6 +20,9 @@ const UNANSWERED_MAX: usize = 64;
 pub trait Office: Send {
     /// A link or a token for a person whom the system knows by this number. Its message is a secret.
     fn sign_in(&self, wanted: &SignIn, uid: Option<u32>) -> Reply;
+
+    /// Ends every session, token and unused link of this name.
+    fn sign_out(&self, name: &str) -> Reply;
 }
 
 /// Operators' commands in the state folder.
@@ -50,15 +53,32 @@ impl StateOrders {
         StateOrders { office, ..self }
     }
 
-    /// Answers who wants to be signed in; the answer is a secret and not logged.
-    fn sign_in(&self, taken: &Taken, wanted: &SignIn) {
-        let reply = match &self.office {
-            Some(office) => office.sign_in(wanted, taken.uid),
-            None => Reply::refuse("this celld serves no page: its configuration has no `page:`"),
+    /// Answers who wants to sign in or out, if that is what is wanted; the answer may be a secret and is not
+    /// logged.
+    fn for_the_office(&self, taken: &Taken) -> bool {
+        let uid = taken.uid;
+        let reply = match (&self.office, &taken.command) {
+            (None, Command::SignIn(_) | Command::SignOut { .. }) => {
+                Reply::refuse("this celld serves no page: its configuration has no `page:`")
+            }
+            (Some(office), Command::SignIn(wanted)) => {
+                let (reply, role) = (office.sign_in(wanted, uid), wanted.role);
+                tracing::info!(accepted = reply.accepted, uid, %role, "sign-in at the page requested");
+                reply
+            }
+            (Some(office), Command::SignOut { name }) => {
+                let reply = office.sign_out(name);
+                tracing::info!(accepted = reply.accepted, uid, name, "sign-out at the page requested");
+                reply
+            }
+            _ => return false,
         };
-        let (accepted, uid, role) = (reply.accepted, taken.uid, wanted.role);
-        tracing::info!(accepted, uid, %role, "sign-in at the page requested");
-        if let Err(error) = self.inbox.reply(taken, &reply) {
+        self.answered(taken, &reply);
+        true
+    }
+
+    fn answered(&self, taken: &Taken, reply: &Reply) {
+        if let Err(error) = self.inbox.reply(taken, reply) {
             tracing::warn!(%error, "a command could not be answered");
         }
     }
@@ -86,8 +106,7 @@ impl Orders for StateOrders {
         });
         let mut orders = Vec::with_capacity(taken.len());
         for taken in taken {
-            if let Command::SignIn(wanted) = &taken.command {
-                self.sign_in(&taken, wanted);
+            if self.for_the_office(&taken) {
                 continue;
             }
             let Some(order) = taken.command.order() else { continue };

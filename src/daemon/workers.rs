@@ -1,10 +1,12 @@
 //! Slow work on threads of its own: frames and markers, planning.
 //!
-//! In: requests with numbers. Out: events with the same numbers, and pictures to be shown or recorded.
+//! In: requests with numbers. Out: events with the same numbers, and pictures to be shown or recorded;
+//! between two requests pictures for those who watch the film.
 //! Workers run at a lower priority than the loop that keeps the robot's heartbeat, and planning has a
 //! stop flag that the loop raises.
 
 use crate::daemon::cameras::fault_of;
+use crate::daemon::film::{self, Film};
 use crate::daemon::messages::{Displayed, Message};
 use crate::daemon::watchdog::Beat;
 use crate::io::camera::{CameraSource, Frame};
@@ -27,7 +29,8 @@ use rearrange::document::chain::chain;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
+use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
+use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
 
 /// What is requested of perception.
@@ -65,6 +68,8 @@ pub struct PerceptionSetup {
     pub sight: Sight,
     /// Folder for pictures of looks that are doubted.
     pub diagnostic_images: Option<PathBuf>,
+    /// Who watches besides.
+    pub film: Option<Film>,
 }
 
 /// What is made of frames.
@@ -81,22 +86,36 @@ pub fn spawn_eyes(
     clock: Clock,
     messages: mpsc::Sender<Message>,
     beat: Beat,
-) -> mpsc::Sender<(u64, SeeRequest)> {
-    let (requests_in, mut requests) = mpsc::channel(4);
+) -> SyncSender<(u64, SeeRequest)> {
+    let (requests_in, requests) = sync_channel(4);
     std::thread::spawn(move || {
         priority::lower();
         let mut seeing = Seeing { eyes, clock, messages, shots: Vec::new() };
-        while let Some((number, request)) = requests.blocking_recv() {
-            beat.now();
-            let event = seeing.answer(number, request);
-            beat.rests();
-            if seeing.messages.blocking_send(Message::Event(event)).is_err() {
-                return;
+        let mut next_glimpse = Instant::now();
+        loop {
+            match requests.recv_timeout(next_glimpse.saturating_duration_since(Instant::now())) {
+                Ok((number, request)) => {
+                    beat.now();
+                    let event = seeing.answer(number, request);
+                    beat.rests();
+                    if seeing.messages.blocking_send(Message::Event(event)).is_err() {
+                        return;
+                    }
+                }
+                Err(RecvTimeoutError::Timeout) => {
+                    beat.now();
+                    next_glimpse = seeing.glimpse(next_glimpse);
+                    beat.rests();
+                }
+                Err(RecvTimeoutError::Disconnected) => return,
             }
         }
     });
     requests_in
 }
+
+/// A camera that gave viewers no picture is left alone for so long.
+const GLIMPSE_AGAIN: Duration = Duration::from_secs(2);
 
 /// What a request that finds the thread busy comes to.
 pub fn busy(number: u64, request: &SeeRequest) -> Event {
@@ -148,13 +167,32 @@ impl Seeing {
         let _ = self.messages.blocking_send(Message::Displayed(displayed));
     }
 
+    /// A picture for viewers, if there are any; when the next one is due, given when this one was.
+    fn glimpse(&mut self, due: Instant) -> Instant {
+        let now = Instant::now();
+        let Some(film) = self.eyes.film.as_ref().filter(|film| film.wants_a_picture()) else {
+            return now + film::EVERY;
+        };
+        self.eyes.camera.want_depth(false);
+        match self.eyes.camera.glimpse() {
+            Ok(frame) => film.picture(frame.image),
+            Err(error) => {
+                tracing::debug!("no picture for viewers: {}", chain(&error));
+                return Instant::now() + GLIMPSE_AGAIN;
+            }
+        }
+        // In step, and none made up for.
+        (due + film::EVERY).max(now)
+    }
+
     fn look(
         &mut self,
         number: u64,
         frames: usize,
         table_from_camera: Isometry3<f64>,
     ) -> Result<Vec<View>, CameraFault> {
-        let PerceptionSetup { camera, sight: Sight::Cell(perception), diagnostic_images } = &mut self.eyes
+        let PerceptionSetup { camera, sight: Sight::Cell(perception), diagnostic_images, .. } =
+            &mut self.eyes
         else {
             return Err(no_perception());
         };

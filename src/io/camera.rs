@@ -85,6 +85,14 @@ pub trait CameraSource: Send {
     /// Anything else; a recording that has ended is `EndOfRecording`.
     fn grab(&mut self) -> Result<Frame, CameraError>;
 
+    /// The next picture for people to look at: one try, and nothing is restarted when it fails.
+    ///
+    /// # Errors
+    /// As [`CameraSource::grab`].
+    fn glimpse(&mut self) -> Result<Frame, CameraError> {
+        self.grab()
+    }
+
     /// Whether the next pictures shall carry depth, for a camera that was opened with it: they do unless set
     /// otherwise. A hint that saves time; others take no notice.
     fn want_depth(&mut self, _wanted: bool) {}

@@ -7,7 +7,7 @@
 //! stops is obeyed however old. The daemon removes the file before it obeys: a command is carried out at
 //! most once.
 
-use cell_edge::files::{FileError, create_folder, read_regular, remove, write_atomic, write_new};
+use cell_edge::files::{FileError, create_folder, read_regular, remove, write_new, write_secret};
 use cell_machine::orders::{Channels, Order, Reply, Role, WayBack};
 use serde::{Deserialize, Serialize};
 use std::os::unix::fs::MetadataExt;
@@ -22,6 +22,9 @@ const MAX_AT_ONCE: usize = 4;
 /// For so long an order counts, s: a daemon that was held up (a slow disk, a stopped process) must not move
 /// the arm for a person who has gone on to something else.
 pub const COUNTS_FOR_S: f64 = 10.0;
+
+/// The answer to a command that was left for an earlier daemon.
+pub const FOR_ANOTHER: &str = "this command was meant for a daemon that has ended";
 
 /// Clocks of one machine agree; an order from further ahead was not stamped on this one.
 const AHEAD_S: f64 = 1.0;
@@ -47,6 +50,8 @@ pub enum Command {
     Approve {
         /// The job.
         id: String,
+        /// Number of the plan, as in the status; absent: the one that waits.
+        plan: Option<u64>,
     },
     /// Refuse a job's plan: the job ends as cancelled.
     Reject {
@@ -81,9 +86,17 @@ pub enum Command {
     /// What answers at the gripper's address is the gripper.
     #[serde(rename = "confirm-gripper")]
     ConfirmGripper,
+    /// A calibration round to the taught poses.
+    Calibrate,
     /// Sign a person in at the page. Not for the machine.
     #[serde(rename = "sign-in")]
     SignIn(SignIn),
+    /// End sessions and tokens of the page, and links that were not used. Not for the machine.
+    #[serde(rename = "sign-out")]
+    SignOut {
+        /// Of whom.
+        name: String,
+    },
 }
 
 /// Who is to be signed in at the page, and how.
@@ -137,7 +150,7 @@ impl Command {
         Some(match self {
             Command::Arm => Order::Arm,
             Command::Disarm => Order::Disarm,
-            Command::Approve { id } => Order::Approve(id.clone()),
+            Command::Approve { id, plan } => Order::Approve { id: id.clone(), plan: *plan },
             Command::Reject { id } => Order::Reject(id.clone()),
             Command::Cancel { id } => Order::Cancel(id.clone()),
             Command::Pause => Order::Pause,
@@ -152,7 +165,8 @@ impl Command {
             }),
             Command::Recover { how } => Order::Recover(*how),
             Command::ConfirmGripper => Order::ConfirmGripper,
-            Command::SignIn(_) => return None,
+            Command::Calibrate => Order::Calibrate,
+            Command::SignIn(_) | Command::SignOut { .. } => return None,
         })
     }
 
@@ -222,10 +236,10 @@ impl Inbox {
                         continue;
                     }
                 },
-                Some(_) => "this command was meant for a daemon that has ended".to_string(),
+                Some(_) => FOR_ANOTHER.to_string(),
                 None => "this file is not a command of this version of celld".to_string(),
             };
-            if let Err(error) = answer(&reply, false, &refused) {
+            if let Err(error) = answer(&reply, uid, false, &refused) {
                 tracing::warn!(%error, "a command could not be answered");
             }
         }
@@ -237,7 +251,7 @@ impl Inbox {
     /// # Errors
     /// The answer cannot be written.
     pub fn reply(&self, taken: &Taken, reply: &Reply) -> Result<(), FileError> {
-        answer(&taken.reply, reply.accepted, &reply.message)
+        answer(&taken.reply, taken.uid, reply.accepted, &reply.message)
     }
 }
 
@@ -290,10 +304,13 @@ impl Sent {
     }
 }
 
-fn answer(path: &Path, accepted: bool, message: &str) -> Result<(), FileError> {
+/// An answer may be a secret (`celld open`): it is for whoever gave the command, and another user than the
+/// daemon's reads it by the group that both are in.
+fn answer(path: &Path, asked_by: Option<u32>, accepted: bool, message: &str) -> Result<(), FileError> {
     let reply = Reply { accepted, message: message.to_owned() };
     let text = serde_json::to_string(&reply).expect("replies have string keys only");
-    write_atomic(path, text.as_bytes())
+    let own = asked_by == Some(rustix::process::geteuid().as_raw());
+    write_secret(path, text.as_bytes(), !own)
 }
 
 fn is_command(path: &Path) -> bool {
@@ -331,7 +348,7 @@ mod tests {
     fn commands_arrive_once_in_order_and_are_answered() {
         let folder = folder();
         let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
-        let approve = Command::Approve { id: "tidy".into() };
+        let approve = Command::Approve { id: "tidy".into(), plan: Some(3) };
         let first = Sent::send(folder.path(), "d1", &Command::Arm, given(10.0)).unwrap();
         Sent::send(folder.path(), "d1", &approve, given(10.0)).unwrap();
         assert_eq!(first.poll().unwrap(), None);
@@ -340,6 +357,9 @@ mod tests {
         assert!(inbox.take(100.0).unwrap().is_empty());
         let reply = Reply { accepted: false, message: "the robot is in local mode".into() };
         inbox.reply(&taken[0], &reply).unwrap();
+        // The asker is the daemon's own user here: an answer may be a secret.
+        let mode = std::fs::metadata(&first.reply).unwrap().mode() & 0o777;
+        assert_eq!(mode, 0o600);
         assert_eq!(first.poll().unwrap(), Some(reply));
         assert_eq!(first.poll().unwrap(), None);
     }
@@ -362,7 +382,7 @@ mod tests {
         let commands = [
             (Command::Arm, false),
             (Command::Disarm, true),
-            (Command::Approve { id: id() }, false),
+            (Command::Approve { id: id(), plan: None }, false),
             (Command::Reject { id: id() }, false),
             (Command::Cancel { id: id() }, false),
             (Command::Pause, true),
@@ -373,6 +393,7 @@ mod tests {
             (Command::Release { channel: None }, false),
             (Command::Recover { how: WayBack::Show }, false),
             (Command::ConfirmGripper, false),
+            (Command::Calibrate, false),
             (Command::SignIn(SignIn { role: Role::View, name: None, token_days: None }), false),
         ];
         for (command, always) in commands {

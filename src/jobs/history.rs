@@ -169,6 +169,7 @@ mod tests {
             found: vec![goal.clone()],
             resolved: Some(vec![goal.clone()]),
             plan: Some(PlanRecord {
+                number: 1,
                 steps: Vec::new(),
                 lower_bound: Some(1.0),
                 seconds: Some(8.0),

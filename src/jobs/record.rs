@@ -264,6 +264,10 @@ pub struct JobResult {
 /// A plan as it was made.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PlanRecord {
+    /// Which plan of its celld it is, from 1: a person agrees to this one. 0: a draft, or of an earlier
+    /// version.
+    #[serde(default)]
+    pub number: u64,
     /// All of it, in order.
     pub steps: Vec<PlanStep>,
     /// In the job's objective.
@@ -499,6 +503,7 @@ mod tests {
             kind,
         };
         let plan = PlanRecord {
+            number: 1,
             steps: vec![step(StepKind::Buffer, -1e-4), step(StepKind::Goal, 1.57)],
             lower_bound: Some(2.0),
             seconds: Some(15.6),

@@ -130,6 +130,15 @@ impl Access {
         }
     }
 
+    /// Ends all that one name may do; how many sessions, tokens and links that were.
+    pub fn end_all_of(&mut self, name: &str) -> usize {
+        let before = self.tickets.len() + self.grants.len();
+        let others = |kept: &Kept| kept.grant.name != name;
+        self.tickets.retain(others);
+        self.grants.retain(others);
+        before - self.tickets.len() - self.grants.len()
+    }
+
     fn forget(&mut self, now_unix_s: f64) {
         let counts = |kept: &Kept| kept.grant.until_unix_s > now_unix_s;
         self.tickets.retain(counts);
@@ -201,6 +210,12 @@ mod tests {
         assert_eq!(access.redeem(&late, NOW + TICKET_S + 1.0).unwrap(), None, "too late");
         access.end(&session);
         assert_eq!(access.person(&session, NOW + 2.0), None, "signed out");
+        let (token, link) = (access.grant(anna(NOW + 1e6)).unwrap(), access.ticket(anna(0.0), NOW).unwrap());
+        let other = access.grant(Grant { name: "ben".into(), ..anna(NOW + 1e6) }).unwrap();
+        assert_eq!(access.end_all_of("anna"), 3, "with the link that was too late");
+        assert_eq!(access.person(&token, NOW), None, "taken back");
+        assert_eq!(access.redeem(&link, NOW).unwrap(), None, "and so is a link that was not used");
+        assert!(access.person(&other, NOW).is_some() && access.end_all_of("anna") == 0);
     }
 
     #[test]

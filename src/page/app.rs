@@ -6,6 +6,7 @@
 use crate::daemon::state_orders::Office;
 use crate::jobs::command::SignIn;
 use crate::page::access::{Grant, SESSION_S, plain_name};
+use crate::page::film;
 use crate::page::openapi::openapi;
 use crate::page::routes;
 use crate::page::server::{Listening, ServeError};
@@ -26,7 +27,11 @@ pub fn start(setup: Setup) -> Result<Box<dyn Office>, ServeError> {
     let mut config = setup.page.clone();
     config.listen = listening.address().unwrap_or(config.listen);
     tracing::info!("the page is at {}; `celld open` signs a browser in", config.address());
-    let app = Arc::new(Shared::new(config, setup, openapi()));
+    let (shared, pictures) = Shared::new(config, setup, openapi());
+    let app = Arc::new(shared);
+    let projector = app.clone();
+    let project = move || film::project(&projector, &pictures);
+    std::thread::Builder::new().name("film".into()).spawn(project).map_err(ServeError::Thread)?;
     let office = SignsIn(app.clone());
     listening.serve(move || routes::router(app))?;
     Ok(Box::new(office))
@@ -58,6 +63,20 @@ impl Office for SignsIn {
         match made {
             Ok(secret) => Reply::accept(secret),
             Err(error) => Reply::refuse(format!("no random numbers: {error}")),
+        }
+    }
+
+    fn sign_out(&self, name: &str) -> Reply {
+        let ended = self.0.access().end_all_of(name);
+        if ended == 0 {
+            return Reply::refuse(format!("nobody of the name {name:?} is signed in, and no token has it"));
+        }
+        let said = format!("{ended} sessions, tokens and links of {name} are void from now on");
+        match self.0.keep_access() {
+            Ok(()) => Reply::accept(said),
+            Err(error) => Reply::refuse(format!(
+                "{said}, but that could not be written down and ends with this celld: {error}"
+            )),
         }
     }
 }

@@ -12,6 +12,7 @@ use axum::response::{IntoResponse, Response};
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use sha2::{Digest, Sha256};
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
 use std::sync::OnceLock;
 
@@ -28,7 +29,7 @@ macro_rules! files {
 }
 
 /// Path, type, content.
-static FILES: [(&str, &str, &[u8]); 17] = files![
+static FILES: [(&str, &str, &[u8]); 19] = files![
     "index.html" HTML,
     "page.css" CSS,
     "icon.svg" SVG,
@@ -39,6 +40,8 @@ static FILES: [(&str, &str, &[u8]); 17] = files![
     "dom.js" SCRIPT,
     "table.js" SCRIPT,
     "picture.js" SCRIPT,
+    "film.js" SCRIPT,
+    "calibrate.js" SCRIPT,
     "arm.js" SCRIPT,
     "live.js" SCRIPT,
     "orders.js" SCRIPT,
@@ -68,6 +71,14 @@ fn made() -> &'static [Asset] {
         };
         FILES.iter().map(make).collect()
     })
+}
+
+/// All texts of the page, in English: those of the built-in table.
+pub fn known_texts() -> BTreeSet<String> {
+    let table = FILES.iter().find(|(path, ..)| *path == "text-de.json").map(|(.., plain)| *plain);
+    let table: BTreeMap<String, String> =
+        table.and_then(|plain| serde_json::from_slice(plain).ok()).unwrap_or_default();
+    table.into_keys().collect()
 }
 
 /// A file of the page.

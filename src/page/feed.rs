@@ -4,16 +4,20 @@
 //! last status, arm, arrangement, sentences and picture; messages to every viewer. Nothing here blocks: the
 //! loop hands over and goes on, and a viewer that does not take its messages loses them all and is dropped.
 
+use crate::daemon::film::{Film, Shown};
 use crate::daemon::last_picture::LastPicture;
 use crate::daemon::messages::Displayed;
 use crate::daemon::shell::{Observer, Scene};
 use crate::jobs::status::{STARTING, Status};
+use crate::page::turns::Turns;
 use crate::page::views::{ArmView, SightView, arm_view, sight_view};
 use axum::body::Bytes;
+use cell_calibration::files::camera::CameraCalibration;
 use cell_edge::clock::unix_now_s;
+use cell_machine::event::{Arm, Effect};
 use cell_machine::supervisor::model::CellModel;
 use cell_values::time::{Duration, Timestamp};
-use cell_vision::camera::CameraModel;
+use cell_values::units::Joints;
 use cell_vision::observe::Observation;
 use serde::Serialize;
 use std::collections::VecDeque;
@@ -67,17 +71,32 @@ pub struct Trends {
 pub struct KnownCell {
     /// As the supervisor has it.
     pub model: CellModel,
-    /// The lens, for what is drawn over pictures.
-    pub lens: CameraModel,
+    /// The lens, for what is drawn over pictures and calibrations.
+    pub lens: CameraCalibration,
+    /// Which arm it is.
+    pub arm: Arm,
     /// What the camera showed last.
     pub pictures: LastPicture,
+}
+
+/// The table as it was measured last.
+#[derive(Clone)]
+pub struct Sight {
+    /// What was seen.
+    pub seen: Arc<Observation>,
+    /// When, s since 1970.
+    pub unix_s: f64,
+    /// The last look was at all of it.
+    pub whole: bool,
 }
 
 #[derive(Default)]
 struct Last {
     status: Option<Arc<Status>>,
     arm: Option<ArmView>,
-    seen: Option<(Arc<Observation>, f64)>,
+    /// Joints and their speeds, and when they were shown.
+    joints: Option<(Joints, [f64; 6], Instant)>,
+    seen: Option<Sight>,
     sentences: VecDeque<Sentence>,
     cell: Option<Arc<KnownCell>>,
     trends: Trends,
@@ -106,6 +125,7 @@ pub struct Feed {
     turned: Arc<AtomicU64>,
     stated: Arc<AtomicU64>,
     begun: Instant,
+    turns: Arc<Turns>,
 }
 
 /// A state older than this is not of now: the loop turns hundreds of times a second, and a status is written
@@ -116,14 +136,15 @@ impl Default for Feed {
     fn default() -> Feed {
         let (messages, _) = broadcast::channel(BEHIND);
         let (picture, turned, stated) = Default::default();
-        Feed { last: Arc::default(), messages, picture, turned, stated, begun: Instant::now() }
+        let (last, turns) = Default::default();
+        Feed { last, messages, picture, turned, stated, begun: Instant::now(), turns }
     }
 }
 
 impl Feed {
     /// The observer of the loop.
     pub fn observer(&self) -> Watcher {
-        Watcher { feed: self.clone(), arm_at: None, vacuum_at: None }
+        Watcher { feed: self.clone(), film: None, arm_at: None, vacuum_at: None, turned: None }
     }
 
     /// Messages from now on.
@@ -183,14 +204,25 @@ impl Feed {
         self.last().arm.clone()
     }
 
-    /// The table as it was measured last, and when, s since 1970.
-    pub fn last_sight(&self) -> Option<(Arc<Observation>, f64)> {
+    /// Where the arm's joints are (rad) and how fast they move (rad/s), as shown within this time.
+    pub fn joints_now(&self, within: std::time::Duration) -> Option<(Joints, [f64; 6])> {
+        let (q, qd, at) = self.last().joints?;
+        (at.elapsed() < within).then_some((q, qd))
+    }
+
+    /// How evenly the loop turns.
+    pub fn turns(&self) -> &Turns {
+        &self.turns
+    }
+
+    /// The table as it was measured last.
+    pub fn last_sight(&self) -> Option<Sight> {
         self.last().seen.clone()
     }
 
     /// The same for viewers.
     pub fn last_sight_view(&self) -> Option<SightView> {
-        self.last_sight().map(|(seen, unix_s)| sight_view(&seen, unix_s))
+        self.last_sight().map(|sight| sight_view(&sight.seen, sight.unix_s))
     }
 
     /// What was said, the newest last.
@@ -256,6 +288,9 @@ fn merged(mut seen: Observation, before: Option<&Observation>) -> Observation {
 /// The loop's end of the feed.
 pub struct Watcher {
     feed: Feed,
+    /// Where pictures of a calibration round go.
+    film: Option<Film>,
+    turned: Option<Instant>,
     arm_at: Option<Timestamp>,
     vacuum_at: Option<Timestamp>,
 }
@@ -267,6 +302,37 @@ const HOLDS: f64 = 0.05;
 const VACUUM_EVERY: Duration = Duration::from_millis(250);
 
 impl Watcher {
+    /// Pictures of calibration rounds go there.
+    pub fn with_film(self, film: Option<Film>) -> Watcher {
+        Watcher { film, ..self }
+    }
+
+    fn turned(&mut self) {
+        let now = Instant::now();
+        if let Some(before) = self.turned.replace(now) {
+            self.feed.turns.turned(before, now);
+        }
+        self.feed.turned.store(self.feed.ms(), Ordering::Relaxed);
+    }
+
+    fn observed(&self, seen: &Observation, partial: bool) {
+        let unix_s = unix_now_s();
+        let before = self.feed.last_sight().filter(|_| partial).map(|sight| sight.seen);
+        let seen = Arc::new(merged(seen.clone(), before.as_deref()));
+        self.feed.send("sight", &sight_view(&seen, unix_s));
+        let mut last = self.feed.last();
+        last.seen = Some(Sight { seen: seen.clone(), unix_s, whole: !partial });
+        if let Some(residual) = seen.reference_residual_m {
+            push(&mut last.trends.reference_residual_mm, (unix_s, residual * 1e3));
+        }
+    }
+
+    fn show(&self, shown: impl FnOnce() -> Shown) {
+        if let Some(film) = &self.film {
+            film.show(shown());
+        }
+    }
+
     fn vacuum(&mut self, now: Timestamp, channels: [f64; 2]) {
         if self.vacuum_at.is_some_and(|at| now.since(at) < VACUUM_EVERY) {
             return;
@@ -284,33 +350,27 @@ impl Watcher {
 impl Observer for Watcher {
     fn on(&mut self, now: Timestamp, scene: Scene) {
         match scene {
-            Scene::Turn => self.feed.turned.store(self.feed.ms(), Ordering::Relaxed),
+            Scene::Turn => self.turned(),
             Scene::Robot(state) if self.arm_at.is_none_or(|at| now.since(at) >= ARM_EVERY) => {
                 self.arm_at = Some(now);
                 let cell = self.feed.cell();
                 let view = arm_view(state, cell.as_ref().map(|cell| &cell.model.arm.bodies));
                 self.feed.send("arm", &view);
-                self.feed.last().arm = Some(view);
+                let mut last = self.feed.last();
+                (last.arm, last.joints) = (Some(view), Some((state.q, state.qd, Instant::now())));
             }
             Scene::Notice(notice) => self.feed.say(notice.alarm, notice.text.clone()),
-            Scene::Displayed(Displayed::Observed { seen, partial }) => {
-                let unix_s = unix_now_s();
-                let before = self.feed.last_sight().filter(|_| *partial).map(|(before, _)| before);
-                let seen = Arc::new(merged((**seen).clone(), before.as_deref()));
-                self.feed.send("sight", &sight_view(&seen, unix_s));
-                let mut last = self.feed.last();
-                last.seen = Some((seen.clone(), unix_s));
-                if let Some(residual) = seen.reference_residual_m {
-                    push(&mut last.trends.reference_residual_mm, (unix_s, residual * 1e3));
-                }
-            }
+            Scene::Displayed(Displayed::Observed { seen, partial }) => self.observed(seen, *partial),
             Scene::Displayed(Displayed::Picture { .. }) => {
                 let number = self.feed.picture.fetch_add(1, Ordering::Relaxed) + 1;
                 self.feed.send("picture", &number);
             }
             Scene::Vacuum(channels) => self.vacuum(now, channels),
-            Scene::Displayed(Displayed::Sample { .. })
-            | Scene::Robot(_)
+            Scene::Displayed(Displayed::Sample { pose, image, sample }) => {
+                self.show(|| Shown::Sample { pose: *pose, image: image.clone(), sample: sample.clone() });
+            }
+            Scene::Effect(Effect::RoundOver(result)) => self.show(|| Shown::RoundOver(result.clone())),
+            Scene::Robot(_)
             | Scene::Status(_)
             | Scene::Route(_)
             | Scene::Ended(_)

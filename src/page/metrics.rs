@@ -34,6 +34,14 @@ pub async fn metrics(State(app): State<App>) -> Response {
     let flag = |on: bool| f64::from(u8::from(on));
     text.gauge("viewers", "Open event streams", app.feed.viewers() as f64);
     text.gauge("pictures", "Pictures since celld was started", app.feed.picture_number() as f64);
+    text.gauge("film_viewers", "Who watch the camera's film", app.film.viewers() as f64);
+    let shares = [0.5, 0.99];
+    if let Some(steps) = app.feed.turns().quantiles(shares) {
+        text.family("loop_step_seconds", "gauge", "From one turn of the loop to the next, of the last turns");
+        for (share, step) in shares.into_iter().zip(steps) {
+            text.value("loop_step_seconds", &format!("{{quantile=\"{share}\"}}"), step);
+        }
+    }
     text.family("orders_total", "counter", "Orders given at the page");
     for (index, answer) in ["accepted", "refused"].into_iter().enumerate() {
         let count = app.orders[index].load(Ordering::Relaxed);

@@ -1,11 +1,12 @@
 //! The page: what the operator sees and sets, and the same as an API.
 //!
 //! `app`: how the daemon puts it together; `shared`: what all handlers share. `feed`: what happens, for
-//! those who watch; `views`: how it is shown. `access`: who may do what; `control`: who has the cell in
-//! hand; `limits` and `guard`: what comes before any handler; `routes`: the table of addresses; `session`,
-//! `live`, `work`, `markers`, `metrics`: what answers there; `drafts`: goals set by hand; `orders`: on
-//! their way to the machine; `openapi`: the API in a document; `server`: connections; `assets`: the
-//! browser's part, plain scripts without a build step.
+//! those who watch; `views`: how it is shown; `turns`: how evenly the loop turns. `access`: who may do what;
+//! `control`: who has the cell in hand; `limits` and `guard`: what comes before any handler; `routes`: the
+//! table of addresses; `session`, `live`, `work`, `records`, `markers`, `metrics`: what answers there;
+//! `film` with `screen`: the camera's pictures as they come; `calibration`: guided steps; `drafts`: goals
+//! set by hand; `orders`: on their way to the machine; `openapi`: the API in a document; `server`:
+//! connections; `assets`: the browser's part, plain scripts without a build step; `texts`: other languages.
 //!
 //! It decides nothing about the cell: orders go the way of command files, jobs the way of job files, and
 //! what it shows is what the daemon writes for everyone.
@@ -13,9 +14,11 @@
 pub mod access;
 pub mod app;
 mod assets;
+pub mod calibration;
 pub mod control;
 pub mod drafts;
 pub mod feed;
+mod film;
 mod guard;
 mod limits;
 mod live;
@@ -23,10 +26,14 @@ mod markers;
 mod metrics;
 pub mod openapi;
 pub mod orders;
+mod records;
 pub mod routes;
+pub mod screen;
 mod server;
 mod session;
 pub mod shared;
+pub mod texts;
+pub mod turns;
 pub mod views;
 mod work;
 

@@ -82,21 +82,35 @@ fn schemas() -> Value {
         "release",
         "recover",
         "confirm-gripper",
+        "calibrate",
     ];
     let ways = ["show", "place", "hold", "release", "retreat"];
     let command = object(
         json!({
             "do": { "enum": orders }, "id": { "type": "string", "description": "approve, reject, cancel: the job" },
+            "plan": { "type": "integer", "description": "approve: the plan's number, as in the status" },
             "channel": { "enum": ["A", "B"] }, "how": { "enum": ways },
         }),
         &["do"],
     );
+    let steps = ["board", "picture", "auto", "lens", "touches", "touch", "untouch", "solve", "keep"];
+    let list = |items: &Value| json!({ "type": "array", "items": items });
+    let calibration = object(
+        json!({
+            "do": { "enum": steps }, "columns": { "type": "integer" }, "rows": { "type": "integer" },
+            "size_mm": number, "gap_mm": number, "first_id": { "type": "integer" }, "on": flag,
+            "drop": { "type": "array", "description": "names of pictures, or numbers of samples" },
+            "points": list(&text), "tip_mm": list(&number), "table_only": flag, "tie": flag,
+        }),
+        &["do"],
+    );
     json!({
+        "Calibration": calibration,
         "Nothing": { "type": "object" },
         "Refusal": { "type": "object", "properties": { "error": text } },
         "Ticket": object(json!({ "ticket": text }), &["ticket"]),
         "Control": object(json!({ "take": flag, "force": flag }), &["take"]),
-        "Order": object(json!({ "command": command, "beat": { "type": "integer" }, "plan_unix_s": number }), &["command"]),
+        "Order": object(json!({ "command": command, "beat": { "type": "integer" } }), &["command"]),
         "JobText": object(json!({ "text": text, "name": text }), &["text"]),
         "Draft": object(json!({ "objects": goals, "moved": text }), &["objects"]),
         "GoalFile": object(json!({ "objects": goals, "replace": flag }), &["objects"]),

@@ -1,14 +1,16 @@
 //! Every address of the page and its API, with the least role and what it is for: one table, from which both
 //! the router and the OpenAPI document are made, so that neither knows what the other does not.
 
+use crate::page::calibration::steps;
 use crate::page::shared::App;
-use crate::page::{assets, guard, live, markers, metrics, session, work};
+use crate::page::{assets, film, guard, live, markers, metrics, records, session, work};
 use axum::Router;
-use axum::extract::{DefaultBodyLimit, Path};
+use axum::extract::{DefaultBodyLimit, Path, State};
 use axum::handler::Handler;
+use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::{from_fn_with_state, map_response};
-use axum::response::Response;
+use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodFilter, on};
 use cell_machine::orders::Role;
 
@@ -105,6 +107,7 @@ fn all(app: Option<App>) -> Routes {
         live::events,
     );
     picture_routes(&mut r);
+    calibration_routes(&mut r);
     work_routes(&mut r);
     r
 }
@@ -114,6 +117,13 @@ fn picture_routes(r: &mut Routes) {
     r.add(
         answers(get("/api/v1/picture.jpg", View, "The camera's last picture"), "image/jpeg"),
         live::picture,
+    );
+    r.add(
+        answers(
+            get("/api/v1/film", View, "The camera's pictures as they come, ten a second"),
+            "multipart/x-mixed-replace",
+        ),
+        film::film,
     );
     r.add(get("/api/v1/picture", View, "What is drawn over the last picture, pixels"), live::picture_view);
     r.add(
@@ -129,6 +139,30 @@ fn picture_routes(r: &mut Routes) {
     );
 }
 
+fn calibration_routes(r: &mut Routes) {
+    use Role::{Engineer, View};
+    r.add(
+        get("/api/v1/calibration", View, "What was measured of camera and table, and what it leaves open"),
+        steps::state,
+    );
+    r.add(
+        post(
+            "/api/v1/calibration",
+            Engineer,
+            "A step of a calibration; none moves the arm (the order `calibrate` does)",
+            "Calibration",
+        ),
+        steps::step,
+    );
+    r.add(
+        answers(
+            get("/api/v1/calibration/pictures/{name}", View, "lens-N or round-N: what was found in it"),
+            "image/jpeg",
+        ),
+        steps::picture,
+    );
+}
+
 fn work_routes(r: &mut Routes) {
     use Role::{Operate, View};
     r.add(get("/api/v1/jobs", View, "Jobs, the newest first (last, failed, since, object)"), work::jobs);
@@ -137,7 +171,17 @@ fn work_routes(r: &mut Routes) {
         work::submit,
     );
     r.add(get("/api/v1/jobs/{id}", View, "A job with its story, plan, steps and result"), work::job);
-    r.add(answers(get("/api/v1/jobs/{id}/report", View, "The job as one page"), "text/html"), work::report);
+    r.add(
+        answers(get("/api/v1/jobs/{id}/report", View, "The job as one page"), "text/html"),
+        records::report,
+    );
+    r.add(
+        answers(
+            get("/api/v1/jobs/{id}/playback", View, "What was recorded of the job, at any time of it"),
+            "text/html",
+        ),
+        records::playback,
+    );
     r.add(
         answers(
             get("/api/v1/jobs/{id}/files/{name}", View, "plan.svg, plan.jpg or end.jpg of a job"),
@@ -202,7 +246,12 @@ pub fn table() -> Vec<Route> {
 
 /// The page and its API.
 pub fn router(app: App) -> Router {
-    let file = |Path(path): Path<String>, headers: HeaderMap| async move { assets::asset(&path, &headers) };
+    let file = |State(app): State<App>, Path(path): Path<String>, headers: HeaderMap| async move {
+        match app.texts.file(&path) {
+            Some(text) => ([(CONTENT_TYPE, JSON), (CACHE_CONTROL, "no-cache")], text).into_response(),
+            None => assets::asset(&path, &headers),
+        }
+    };
     let first = |headers: HeaderMap| async move { assets::asset("", &headers) };
     let not_found = |response: Response| async move {
         match response.status() {

@@ -54,6 +54,14 @@ pub enum ServeError {
         /// Why.
         reason: String,
     },
+    /// A file of texts.
+    #[error("page.texts: {file}: {reason}")]
+    Texts {
+        /// Which file.
+        file: String,
+        /// Why.
+        reason: String,
+    },
     /// The system has no more threads or handles.
     #[error("the page's thread cannot be started: {0}")]
     Thread(std::io::Error),
@@ -198,7 +206,13 @@ mod tests {
     use tokio_rustls::rustls::{ClientConfig, RootCertStore};
 
     fn page(tls: Option<TlsFiles>) -> PageConfig {
-        PageConfig { listen: ([127, 0, 0, 1], 0).into(), hosts: Vec::new(), control_from: Vec::new(), tls }
+        PageConfig {
+            listen: ([127, 0, 0, 1], 0).into(),
+            hosts: Vec::new(),
+            control_from: Vec::new(),
+            tls,
+            texts: Vec::new(),
+        }
     }
 
     fn router() -> Router {

@@ -24,9 +24,6 @@ use std::time::Instant;
 /// A page that has seen no beat for so long is out of date, ms.
 const STALE_MS: u64 = 2500;
 
-/// How much two times of one plan may differ, s: they travel as decimal numbers.
-const SAME_PLAN_S: f64 = 1e-3;
-
 /// `POST /api/v1/sign-in`
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -153,9 +150,6 @@ pub struct Ordered {
     /// The last beat that the page had received; programs with a token may leave it out.
     #[serde(default)]
     beat: Option<u64>,
-    /// Which plan is agreed to: when it was made.
-    #[serde(default)]
-    plan_unix_s: Option<f64>,
 }
 
 /// Carries an order out, or says why not.
@@ -220,28 +214,14 @@ fn may_order(
         ));
     }
     match order {
-        Order::Approve(id) => return the_plan_shown(app, id, ordered.plan_unix_s),
-        Order::Reject(_) => return Ok(()),
+        // The machine compares the plan's number with that of the plan that waits.
+        Order::Approve { plan: Some(_), .. } | Order::Reject(_) => return Ok(()),
+        Order::Approve { plan: None, .. } => {
+            let message = "say which plan is agreed to: its `number`, as in the status, as `plan`";
+            return Err((StatusCode::BAD_REQUEST, message.into()));
+        }
         _ => {}
     }
     let taken = app.control().take(&person.session, &person.grant.name, false, Instant::now());
     taken.map_err(|held| (StatusCode::CONFLICT, held.to_string()))
-}
-
-/// Agreed to is the plan that was shown, not one that has taken its place since.
-fn the_plan_shown(app: &Shared, id: &str, plan_unix_s: Option<f64>) -> Result<(), Reason> {
-    let Some(shown) = plan_unix_s else {
-        let message = "say which plan is agreed to: `plan_unix_s` of the plan in the status";
-        return Err((StatusCode::BAD_REQUEST, message.into()));
-    };
-    let status = app.feed.last_status();
-    let plan =
-        status.as_ref().filter(|status| status.job.as_deref() == Some(id)).and_then(|s| s.plan.as_ref());
-    match plan {
-        Some(plan) if (plan.unix_s - shown).abs() < SAME_PLAN_S => Ok(()),
-        Some(_) => {
-            Err((StatusCode::CONFLICT, "the plan has changed since it was shown; look at the new one".into()))
-        }
-        None => Err((StatusCode::CONFLICT, format!("job {id} has no plan that could be agreed to"))),
-    }
 }

@@ -5,18 +5,23 @@
 
 use crate::config::cell::CellConfig;
 use crate::config::page::PageConfig;
+use crate::daemon::film::{Film, Shown};
 use crate::jobs::state::StateFolder;
 use crate::page::access::Access;
+use crate::page::calibration::bench::Bench;
 use crate::page::control::Control;
 use crate::page::feed::Feed;
 use crate::page::limits::Limits;
 use crate::page::orders::Desk;
+use crate::page::screen::Screen;
+use crate::page::texts::Texts;
 use cell_edge::clock::unix_now_s;
-use cell_edge::files::{FileError, read_regular, write_whole};
+use cell_edge::files::{FileError, read_regular, write_secret};
 use serde_json::Value;
 use std::path::PathBuf;
-use std::sync::atomic::AtomicU64;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::Receiver;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 use std::time::Instant;
 use tokio::sync::Semaphore;
 
@@ -34,7 +39,16 @@ pub struct Setup<'a> {
     pub feed: Feed,
     /// Where orders go.
     pub desk: Desk,
+    /// The camera's film.
+    pub film: Film,
+    /// Where its pictures arrive, and those of calibration rounds.
+    pub pictures: Receiver<Shown>,
+    /// Texts in other languages.
+    pub texts: Texts,
 }
+
+/// A page that calibrates asks every second.
+const CALIBRATES_MS: u64 = 4000;
 
 /// Largest file of grants that is read.
 const ACCESS_BYTES_MAX: u64 = 1 << 20;
@@ -53,10 +67,16 @@ pub struct Shared {
     pub feed: Feed,
     /// Where orders go.
     pub desk: Desk,
+    /// The camera's film.
+    pub film: Film,
+    /// Its last picture.
+    pub screen: Screen,
     /// When the page came up: beats count from here.
     pub begun: Instant,
     /// The same by the calendar, ms since 1970.
     pub begun_unix_ms: u64,
+    /// Texts in other languages.
+    pub texts: Texts,
     /// Plans are made one at a time.
     pub planning: Arc<Semaphore>,
     /// Orders that were carried out, and refused.
@@ -67,6 +87,9 @@ pub struct Shared {
     writing: Mutex<()>,
     control: Mutex<Control>,
     limits: Mutex<Limits>,
+    calibration: Mutex<Bench>,
+    /// When a page that calibrates last asked for anything, by the clock of beats.
+    calibrated_at: AtomicU64,
 }
 
 /// See [`Shared`].
@@ -78,17 +101,20 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 impl Shared {
     /// With the grants of an earlier daemon; `config.listen` is where the page is listened at.
-    pub fn new(config: PageConfig, setup: Setup, document: Value) -> Shared {
+    pub fn new(config: PageConfig, setup: Setup, document: Value) -> (Shared, Receiver<Shown>) {
         let text = read_regular(&access_file(&setup.state), ACCESS_BYTES_MAX).map(|(text, _)| text);
-        Shared {
+        let shared = Shared {
             config,
             cell: setup.cell.clone(),
             config_name: setup.config_name,
             state: setup.state,
             feed: setup.feed,
             desk: setup.desk,
+            film: setup.film,
+            screen: Screen::default(),
             begun: Instant::now(),
             begun_unix_ms: (unix_now_s() * 1e3) as u64,
+            texts: setup.texts,
             planning: Arc::new(Semaphore::new(1)),
             orders: Default::default(),
             document,
@@ -96,7 +122,10 @@ impl Shared {
             writing: Mutex::default(),
             control: Mutex::default(),
             limits: Mutex::default(),
-        }
+            calibration: Mutex::default(),
+            calibrated_at: AtomicU64::new(0),
+        };
+        (shared, setup.pictures)
     }
 
     /// Who may do what.
@@ -112,6 +141,30 @@ impl Shared {
     /// Who may ask how often.
     pub fn limits(&self) -> MutexGuard<'_, Limits> {
         locked(&self.limits)
+    }
+
+    /// What is calibrated. It is held while something is solved: not to be asked for by what must not wait.
+    pub fn calibration(&self) -> MutexGuard<'_, Bench> {
+        locked(&self.calibration)
+    }
+
+    /// The same, unless it is held.
+    pub fn calibration_if_free(&self) -> Option<MutexGuard<'_, Bench>> {
+        match self.calibration.try_lock() {
+            Ok(bench) => Some(bench),
+            Err(TryLockError::Poisoned(poisoned)) => Some(poisoned.into_inner()),
+            Err(TryLockError::WouldBlock) => None,
+        }
+    }
+
+    /// A page that calibrates is open.
+    pub fn calibrates(&self) {
+        self.calibrated_at.store(self.beat(), Ordering::Relaxed);
+    }
+
+    /// Whether one was a moment ago.
+    pub fn is_calibrating(&self) -> bool {
+        self.beat().saturating_sub(self.calibrated_at.load(Ordering::Relaxed)) < CALIBRATES_MS
     }
 
     /// Name of the cookie: browsers do not keep those of two cells on one computer apart by their ports.
@@ -134,7 +187,7 @@ impl Shared {
         // One after the other; who may do what is not locked while the disk is waited for.
         let _writing = locked(&self.writing);
         let text = self.access().file();
-        write_whole(&access_file(&self.state), text.as_bytes())
+        write_secret(&access_file(&self.state), text.as_bytes(), false)
     }
 }
 

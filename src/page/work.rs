@@ -4,8 +4,8 @@
 //! handed in as `celld submit` does, and its verdict is the spool's: the page knows no other way in.
 
 use crate::daemon::job_orders::{found_by, job_context, job_order};
-use crate::daemon::job_report::job_report;
 use crate::daemon::plan_files;
+use crate::daemon::recordings_folder::recordings_of;
 use crate::jobs::goal::{GoalEntry, find_goal_file, parse_goal_file, read_goal_file};
 use crate::jobs::history::{JobFilter, since, story};
 use crate::jobs::job_file::read_job;
@@ -19,16 +19,15 @@ use crate::page::guard::Refused;
 use crate::page::session::unreadable;
 use crate::page::shared::{App, Shared};
 use crate::page::views::poses;
-use crate::report::html::html;
 use axum::extract::rejection::JsonRejection;
 use axum::extract::{Extension, Json, Path, Query, State};
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
-use axum::response::{Html, IntoResponse, Response};
+use axum::response::{IntoResponse, Response};
 use cell_edge::clock::unix_now_s;
 use cell_edge::files::{read_bytes, write_atomic, write_new};
 use cell_machine::code::JobStatus;
-use cell_machine::supervisor::draft::{Draft, NoDraft, draft};
+use cell_machine::supervisor::draft::{Draft, Glimpse, NoDraft, draft};
 use cell_values::time::Duration;
 use rearrange::document::chain::chain;
 use serde::Deserialize;
@@ -51,7 +50,9 @@ const DRAFT_WITHIN: std::time::Duration = std::time::Duration::from_secs(20);
 const PICTURE_MAX: u64 = 32 << 20;
 
 /// Runs what waits for a disk or computes long beside the streams.
-async fn beside<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, Refused> {
+pub(super) async fn beside<T: Send + 'static>(
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, Refused> {
     tokio::task::spawn_blocking(work)
         .await
         .map_err(|_| Refused::fault("this is a fault of celld; see its log"))
@@ -116,7 +117,7 @@ fn summary(job: &JobRecord) -> Value {
 }
 
 /// A job with its steps; none where it is not known.
-fn known(app: &Shared, id: &str) -> Result<(Journal, JobRecord, Vec<StepRecord>), Refused> {
+pub(super) fn known(app: &Shared, id: &str) -> Result<(Journal, JobRecord, Vec<StepRecord>), Refused> {
     let unknown = || Refused::new(StatusCode::NOT_FOUND, "no such job is known");
     let journal = journal(app)?.ok_or_else(unknown)?;
     let job = journal.job(id).map_err(|error| Refused::fault(chain(&error)))?.ok_or_else(unknown)?;
@@ -124,7 +125,8 @@ fn known(app: &Shared, id: &str) -> Result<(Journal, JobRecord, Vec<StepRecord>)
     Ok((journal, job, steps))
 }
 
-fn folder(app: &Shared, journal: &Journal, id: &str) -> Option<PathBuf> {
+/// The folder that a job's files are in now.
+pub(super) fn folder(app: &Shared, journal: &Journal, id: &str) -> Option<PathBuf> {
     let place = journal.folder_of(id).ok().flatten()?;
     Some(app.state.root().join("jobs").join(place))
 }
@@ -149,6 +151,7 @@ pub async fn job(State(app): State<App>, Path(id): Path<String>) -> Result<Respo
         body["goals"] = json!(job.resolved.as_ref().unwrap_or(&job.spec.goal));
         body["result"] = json!(job.result);
         body["files"] = json!(files);
+        body["recorded"] = (!recordings(&app, &id).is_empty()).into();
         let step = |step: &StepRecord| {
             json!({
                 "step": step.step, "object": step.intent.object, "from": step.intent.from, "to": step.intent.to,
@@ -161,17 +164,9 @@ pub async fn job(State(app): State<App>, Path(id): Path<String>) -> Result<Respo
     Ok(Json(body.await??).into_response())
 }
 
-/// `GET /api/v1/jobs/{id}/report`
-pub async fn report(State(app): State<App>, Path(id): Path<String>) -> Result<Response, Refused> {
-    let page = beside(move || -> Result<String, Refused> {
-        let (journal, job, steps) = known(&app, &id)?;
-        let place = folder(&app, &journal, &id);
-        Ok(html(&job_report(&job, &steps, &app.cell, place.as_deref())))
-    });
-    let page = page.await??;
-    // The report brings its own styles and pictures, and no script.
-    let policy = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'";
-    Ok(([(axum::http::header::CONTENT_SECURITY_POLICY, policy)], Html(page)).into_response())
+/// What was recorded of a job.
+pub(super) fn recordings(app: &Shared, id: &str) -> Vec<PathBuf> {
+    app.cell.recording.as_ref().map(|to| recordings_of(&to.folder, id)).unwrap_or_default()
 }
 
 /// `GET /api/v1/jobs/{id}/files/{name}`
@@ -311,7 +306,7 @@ fn planned(app: &Shared, text: &str) -> Result<Value, Refused> {
     let conflict = |message: &str| Refused::new(StatusCode::CONFLICT, message);
     let known =
         app.feed.cell().ok_or_else(|| conflict("celld waits for the robot; there is no preview yet"))?;
-    let (seen, seen_unix_s) = app
+    let sight = app
         .feed
         .last_sight()
         .ok_or_else(|| conflict("the table was not seen yet; `arm` the cell, or submit the job"))?;
@@ -321,13 +316,18 @@ fn planned(app: &Shared, text: &str) -> Result<Value, Refused> {
     let started = Instant::now();
     let limit = order.time_limit.min(DRAFT_WITHIN);
     let over = |attempt: u32| started.elapsed() >= limit * (attempt + 1);
-    let age = Duration::from_secs_f64((unix_now_s() - seen_unix_s).max(0.0));
-    let made = draft(known.model.clone(), &order, &seen, age, &over, &|| started.elapsed().as_secs_f64());
-    let Draft { plan, goals } = made.map_err(|NoDraft { code, message, hint }| {
+    let age = Duration::from_secs_f64((unix_now_s() - sight.unix_s).max(0.0));
+    let last = Glimpse { seen: &sight.seen, whole: sight.whole, age };
+    let made = draft(known.model.clone(), &order, last, &over, &|| started.elapsed().as_secs_f64());
+    let Draft { plan, goals, doubt } = made.map_err(|NoDraft { code, message, hint }| {
         Refused::new(StatusCode::CONFLICT, message).with(code.to_string(), hint)
     })?;
     let plan = plan_files::record_of(&plan, unix_now_s());
-    Ok(json!({ "plan": plan, "buffers": plan.buffers(), "summary": plan.summary(), "goals": poses(&goals) }))
+    let doubt =
+        doubt.map(|doubt| json!({ "code": doubt.code, "message": doubt.message, "hint": doubt.hint }));
+    Ok(json!({
+        "plan": plan, "buffers": plan.buffers(), "summary": plan.summary(), "goals": poses(&goals), "doubt": doubt,
+    }))
 }
 
 /// `POST /api/v1/goals/check`

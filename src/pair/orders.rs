@@ -41,7 +41,7 @@ pub struct Given {
 pub static ORDERS: &[Given] = &[
     Given { command: "arm", order: |_| Order::Arm },
     Given { command: "disarm", order: |_| Order::Disarm },
-    Given { command: "approve", order: Order::Approve },
+    Given { command: "approve", order: |id| Order::Approve { id, plan: None } },
     Given { command: "reject", order: Order::Reject },
     Given { command: "cancel", order: Order::Cancel },
     Given { command: "pause", order: |_| Order::Pause },
@@ -51,6 +51,7 @@ pub static ORDERS: &[Given] = &[
     Given { command: "abort", order: |_| Order::Abort },
     Given { command: "release --yes", order: |_| Order::Release(Channels::Both) },
     Given { command: "confirm-gripper", order: |_| Order::ConfirmGripper },
+    Given { command: "calibrate (at the page)", order: |_| Order::Calibrate },
     Given { command: "recover", order: |_| Order::Recover(WayBack::Show) },
     Given { command: "recover --place", order: |_| Order::Recover(WayBack::Place) },
     Given { command: "recover --hold", order: |_| Order::Recover(WayBack::Hold) },
@@ -229,6 +230,7 @@ pub fn judge(given: &Given, found: &Found) -> Vec<String> {
         }
         "reject" => must(found.ended.as_deref() == Some("plan_rejected"), "the job has ended"),
         "cancel" => must(found.ended.is_some(), "the job ends"),
+        "calibrate (at the page)" => must(found.moves || says("already"), "the arm goes round"),
         "recover --place" => must(!found.held.1 && found.rests, "what was held is put down"),
         "recover --hold" => must(!found.moves && found.held.0 == found.held.1, "what is held stays held"),
         "recover --retreat" => must(found.rests && found.held.0 == found.held.1, "the arm goes up and rests"),

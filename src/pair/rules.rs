@@ -409,7 +409,8 @@ impl Rules {
             }
             // Only a way that moves the arm may arm the cell for it.
             Order::Recover(way) => !accepted || matches!(way, WayBack::Show) || self.recovers(mode, machine),
-            Order::Approve(_) | Order::Reject(_) | Order::Cancel(_) | Order::ConfirmGripper => true,
+            Order::Calibrate => !accepted || mode.armed(),
+            Order::Approve { .. } | Order::Reject(_) | Order::Cancel(_) | Order::ConfirmGripper => true,
         };
         if !fine {
             self.breach(Rule::AnswerNotTrue, format!("{order:?}: {reply:?}, {mode:?}"));

@@ -200,7 +200,7 @@ fn approve(pair: &mut Pair) -> bool {
     if phase_of(pair) != Some(Phase::Approve) {
         return false;
     }
-    pair.order(Order::Approve(job));
+    pair.order(Order::Approve { id: job, plan: None });
     pair.run_until(2.0, |pair| phase_of(pair) != Some(Phase::Approve));
     true
 }

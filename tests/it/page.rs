@@ -240,6 +240,16 @@ fn nothing_else_is_a_goal(cell: &Cell, view: &str, operate: &str) {
     assert_eq!(cell.post("/api/v1/preview", view, &keys).status, 422);
 }
 
+/// What was recorded of a job is played back; it may still be on its way to the disk.
+fn it_is_played_back(cell: &Cell, view: &str) {
+    let played = || cell.get("/api/v1/jobs/one/playback", view);
+    wait_until("it is played back", || played().body.contains("every object is at its goal"));
+    let played = played();
+    assert!(played.body.contains("data:image/jpeg"), "{}", played.head);
+    assert!(played.head.contains("sandbox allow-scripts"), "it gets no session: {}", played.head);
+    assert_eq!(cell.get("/api/v1/jobs/none/playback", view).status, 404);
+}
+
 #[test]
 fn cell_page_orders_and_jobs_do_what_they_say() {
     let cell = Cell::start("127.7.7.3", 2);
@@ -271,12 +281,13 @@ fn cell_page_orders_and_jobs_do_what_they_say() {
     assert!(refused.status == 422 && refused.body.contains("mug"), "{}", refused.body);
     assert_eq!(cell.post("/api/v1/jobs", &operate, &job).status, 201);
     wait_until("the plan waits", || status()["awaiting_approval"] == json!(["one"]));
-    let agree = |plan: f64| {
-        let body = json!({ "command": { "do": "approve", "id": "one" }, "plan_unix_s": plan });
+    let agree = |plan: u64| {
+        let body = json!({ "command": { "do": "approve", "id": "one", "plan": plan } });
         cell.post("/api/v1/orders", &approve, &body).json()
     };
-    let plan = status()["plan"]["unix_s"].as_f64().expect("its time");
-    assert_eq!(agree(plan - 5.0)["accepted"], false, "another plan than the one that waits");
+    let plan = status()["plan"]["number"].as_u64().expect("its number");
+    let another = agree(plan + 1);
+    assert!(another["message"].as_str().is_some_and(|message| message.contains("changed")), "{another}");
     assert_eq!(agree(plan)["accepted"], true);
     wait_until("done", || cell.get("/api/v1/jobs/one", &view).json()["state"] == "done");
     let done = cell.get("/api/v1/jobs/one", &view).json();
@@ -285,6 +296,7 @@ fn cell_page_orders_and_jobs_do_what_they_say() {
     // The folder follows the journal.
     wait_until("a picture", || cell.get("/api/v1/jobs/one/files/end.jpg", &view).status == 200);
     assert!(cell.get("/api/v1/jobs/one/report", &view).body.contains("<svg"));
+    it_is_played_back(&cell, &view);
     nothing_else_is_a_goal(&cell, &view, &operate);
     let metrics = cell.get("/metrics", &view).body;
     assert!(
@@ -333,4 +345,114 @@ fn cell_page_viewer_that_does_not_read_is_dropped_and_one_that_does_sees_the_end
         assert!(seen.contains(kind), "{kind} was not seen in {} bytes", seen.len());
     }
     drop(deaf);
+}
+
+/// Begins to watch the film; what was read of it after a while.
+fn film(cell: &Cell, token: &str, pictures: usize) -> Vec<u8> {
+    let mut stream = TcpStream::connect(&cell.host).expect("connected");
+    stream.set_read_timeout(Some(Duration::from_secs(60))).expect("a timeout");
+    let head =
+        format!("GET /api/v1/film HTTP/1.1\r\nhost: {}\r\nauthorization: Bearer {token}\r\n\r\n", cell.host);
+    stream.write_all(head.as_bytes()).expect("sent");
+    let (mut bytes, mut buffer) = (Vec::new(), [0; 1 << 16]);
+    let count = |bytes: &[u8]| bytes.windows(24).filter(|w| *w == b"Content-Type: image/jpeg").count();
+    while count(&bytes) < pictures {
+        match stream.read(&mut buffer) {
+            Ok(size) if size > 0 => bytes.extend_from_slice(&buffer[..size]),
+            ended => panic!("{ended:?} after {}", String::from_utf8_lossy(&bytes[..bytes.len().min(300)])),
+        }
+    }
+    bytes
+}
+
+#[test]
+fn cell_page_film_is_taken_for_viewers_and_a_token_taken_back_ends_it() {
+    let cell = Cell::start("127.7.7.5", 1);
+    let view = cell.token(Role::View);
+    let watchers =
+        |wanted: &str| cell.get("/metrics", &view).body.contains(&format!("celld_film_viewers {wanted}\n"));
+    wait_until("the robot is known", || cell.get("/readyz", "").status == 200);
+    assert!(watchers("0"));
+    let seen = film(&cell, &view, 3);
+    assert!(seen.windows(3).any(|w| w == [0xff, 0xd8, 0xff]), "JPEG pictures");
+    wait_until("nobody watches", || watchers("0"));
+
+    let other = cell.token(Role::Operate);
+    assert_eq!(cell.get("/api/v1/me", &other).status, 200);
+    let mut stream = TcpStream::connect(&cell.host).expect("connected");
+    stream.set_read_timeout(Some(Duration::from_secs(60))).expect("a timeout");
+    let head = format!(
+        "GET /api/v1/events HTTP/1.1\r\nhost: {}\r\nauthorization: Bearer {other}\r\n\r\n",
+        cell.host
+    );
+    stream.write_all(head.as_bytes()).expect("sent");
+    let revoked = celld(&["open", "--revoke", "operate"], cell.path());
+    assert!(revoked.status.success(), "{}", text(&revoked.stderr));
+    assert_eq!(cell.get("/api/v1/me", &other).status, 401, "it counts no more, with the same celld");
+    // Its stream ends too, by itself.
+    let _ = stream.read_to_end(&mut Vec::new()).expect("the end of the stream");
+    assert_eq!(cell.get("/api/v1/me", &view).status, 200, "others go on");
+    let nobody = celld(&["open", "--revoke", "operate"], cell.path());
+    assert_eq!(nobody.status.code(), Some(1), "{}", text(&nobody.stdout));
+}
+
+#[test]
+fn cell_page_calibrates_step_by_step_and_moves_only_when_ordered() {
+    let cell = Cell::start("127.7.7.6", 5);
+    let [operate, engineer] = [Role::Operate, Role::Engineer].map(|role| cell.token(role));
+    let step = |body: Value| cell.post("/api/v1/calibration", &engineer, &body);
+    let bench = || cell.get("/api/v1/calibration", &operate).json();
+    assert_eq!(cell.post("/api/v1/calibration", &operate, &json!({ "do": "keep" })).status, 403);
+    let by_operator = cell.post("/api/v1/orders", &operate, &json!({ "command": { "do": "calibrate" } }));
+    assert_eq!(by_operator.status, 403, "{}", by_operator.body);
+    wait_until("the robot is known", || bench()["cell"]["lens"].is_object());
+    // Nothing of it is there yet, and nothing is made up.
+    assert_eq!(step(json!({ "do": "keep" })).status, 409);
+    assert_eq!(step(json!({ "do": "picture" })).status, 409, "there is no film");
+    let solved = step(json!({ "do": "solve" })).json();
+    assert!(solved["fault"].as_str().is_some_and(|why| why.contains("no round")), "{}", solved["fault"]);
+    let disarmed = cell.order(&engineer, json!({ "do": "calibrate" }));
+    assert!(disarmed["message"].as_str().is_some_and(|m| m.contains("disarmed")), "{disarmed}");
+
+    // Where the arm stands is recorded, and does not place a table by itself.
+    let points =
+        json!({ "do": "touches", "points": ["500", "501:lower_left", "0.25/0.25"], "tip_mm": [0, 0, 150] });
+    assert_eq!(step(points).status, 200);
+    assert_eq!(step(json!({ "do": "touches", "points": ["7000"] })).status, 422);
+    let touched = step(json!({ "do": "touch" })).json();
+    assert_eq!(touched["touches"]["wanted"]["number"], 2, "{touched}");
+    assert_eq!(step(json!({ "do": "untouch" })).json()["touches"]["wanted"]["number"], 1);
+
+    wait_until("armed", || cell.order(&engineer, json!({ "do": "arm" }))["accepted"] == true);
+    let begun = cell.order(&engineer, json!({ "do": "calibrate" }));
+    assert_eq!(begun["accepted"], true, "{begun}");
+    wait_until("the round is over", || bench()["round"]["over"] == true);
+    let round = bench()["round"].clone();
+    let poses = bench()["cell"]["poses"].as_u64();
+    assert!(round["fault"].is_null(), "{round}");
+    assert_eq!(round["markers"].as_array().map(|all| all.len() as u64), poses, "{round}");
+    wait_until("disarmed", || cell.get("/api/v1/status", &operate).json()["armed"] == false);
+    let picture = cell.get("/api/v1/calibration/pictures/round-1", &operate);
+    assert!(picture.status == 200 && picture.head.contains("image/jpeg"), "{}", picture.head);
+    assert_eq!(cell.get("/api/v1/calibration/pictures/round-99", &operate).status, 404);
+
+    let solved = step(json!({ "do": "solve", "drop": [2] })).json();
+    let number = |path: &str| solved.pointer(path).and_then(Value::as_f64).unwrap_or(f64::NAN);
+    assert!(solved["fault"].is_null(), "{}", solved["fault"]);
+    assert!(number("/solved/table/px") < 0.3 && number("/solved/table/held_out_mm") < 0.5, "{solved}");
+    assert!(number("/solved/camera_moved/mm") < 1.0, "as the files in use have it: {solved}");
+    assert!(solved["solved"]["marks"][0].as_array().is_some_and(|marks| !marks.is_empty()));
+    let file = cell.path().join("calibration/sim/table.yaml");
+    let before = std::fs::read_to_string(&file).expect("the table's file");
+    let kept = step(json!({ "do": "keep" })).json();
+    assert!(kept["kept"].as_str().is_some_and(|said| said.contains("next start")), "{}", kept["kept"]);
+    assert_ne!(std::fs::read_to_string(&file).expect("the table's file"), before);
+    let aside = walk(&cell.path().join("state/calibration"), "table.yaml");
+    assert_eq!(std::fs::read_to_string(aside).expect("the file before"), before);
+}
+
+/// The first file of this name in the folders of a folder.
+fn walk(folder: &Path, name: &str) -> std::path::PathBuf {
+    let folders = std::fs::read_dir(folder).expect("a folder").flatten().map(|entry| entry.path().join(name));
+    folders.into_iter().find(|path| path.exists()).expect("a file of this name")
 }

@@ -50,6 +50,11 @@ impl BoardPictures {
         self.views.len()
     }
 
+    /// The board's corners in each picture that counts.
+    pub fn views(&self) -> &[BoardView] {
+        &self.views
+    }
+
     /// Looks at the next picture; it counts where it shows enough.
     ///
     /// # Errors

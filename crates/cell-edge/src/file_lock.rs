@@ -42,7 +42,7 @@ impl FileLock {
     pub fn is_held(path: &Path) -> Result<bool, FileError> {
         // Only to read: who may see the state need not be able to change it.
         let file = match File::open(path) {
-            Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(false),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(false),
             other => other.map_err(|e| FileError::io("open", path, e))?,
         };
         Ok(!lock_of(path, file.try_lock_shared())?)

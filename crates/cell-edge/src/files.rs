@@ -19,6 +19,9 @@ const DRAFT_SUFFIX: &str = ".tmp";
 /// Mode of a file that is written for its folder's group.
 const FOR_THE_GROUP: u32 = 0o640;
 
+/// Mode of a file that one user reads alone.
+const FOR_ONE: u32 = 0o600;
+
 /// What a folder passes its group on with.
 const SETGID: u32 = 0o2000;
 
@@ -202,6 +205,22 @@ fn text(path: &Path, bytes: Vec<u8>) -> Result<String, FileError> {
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     let draft = draft(path, bytes)?;
     draft.as_file().sync_all().map_err(|e| FileError::io("sync", path, e))?;
+    replace(path, draft)?;
+    sync_folder(parent(path))
+}
+
+/// The same for what not everyone may read, whatever the umask: this user alone, or its group as well.
+///
+/// # Errors
+/// As [`write_atomic`].
+pub fn write_secret(path: &Path, bytes: &[u8], for_the_group: bool) -> Result<(), FileError> {
+    let draft = draft(path, &[])?;
+    let mut file = draft.as_file();
+    let mode = if for_the_group { FOR_THE_GROUP } else { FOR_ONE };
+    let fail = |e| FileError::io("write", path, e);
+    file.set_permissions(Permissions::from_mode(mode)).map_err(fail)?;
+    file.write_all(bytes).map_err(fail)?;
+    file.sync_all().map_err(fail)?;
     replace(path, draft)?;
     sync_folder(parent(path))
 }
@@ -409,6 +428,18 @@ mod tests {
             assert_eq!(std::fs::read_to_string(&other).unwrap(), "kept");
             assert!(!path.symlink_metadata().unwrap().is_symlink());
         }
+    }
+
+    #[test]
+    fn a_secret_is_read_by_whom_it_is_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("answer");
+        for (for_the_group, mode) in [(true, FOR_THE_GROUP), (false, FOR_ONE)] {
+            write_secret(&path, b"secret", for_the_group).unwrap();
+            assert_eq!(std::fs::read(&path).unwrap(), b"secret");
+            assert_eq!(path.metadata().unwrap().mode() & 0o777, mode);
+        }
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 
     #[test]

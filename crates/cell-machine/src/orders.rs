@@ -17,8 +17,13 @@ pub enum Order {
     /// Forbid motion once the present pick-n-place is over; a robot that is held or being started is
     /// stopped.
     Disarm,
-    /// The plan shown for this job may be carried out.
-    Approve(String),
+    /// The plan shown for a job may be carried out.
+    Approve {
+        /// The job.
+        id: String,
+        /// Which of its plans was shown, by its number; absent: the one that waits, whichever it is.
+        plan: Option<u64>,
+    },
     /// It may not.
     Reject(String),
     /// Give this job up after the present pick-n-place.
@@ -39,6 +44,8 @@ pub enum Order {
     Recover(WayBack),
     /// What answers at the gripper's address is the gripper.
     ConfirmGripper,
+    /// A calibration round: slowly to the taught calibration poses, a picture at each, then disarmed.
+    Calibrate,
 }
 
 impl Order {
@@ -47,7 +54,7 @@ impl Order {
         match self {
             Order::Disarm | Order::Pause | Order::Abort => true,
             Order::Arm
-            | Order::Approve(_)
+            | Order::Approve { .. }
             | Order::Reject(_)
             | Order::Cancel(_)
             | Order::Resume
@@ -55,7 +62,8 @@ impl Order {
             | Order::Park
             | Order::Release(_)
             | Order::Recover(_)
-            | Order::ConfirmGripper => false,
+            | Order::ConfirmGripper
+            | Order::Calibrate => false,
         }
     }
 
@@ -68,9 +76,10 @@ impl Order {
             | Order::Park
             | Order::Release(_)
             | Order::Recover(_)
-            | Order::ConfirmGripper => true,
+            | Order::ConfirmGripper
+            | Order::Calibrate => true,
             Order::Disarm
-            | Order::Approve(_)
+            | Order::Approve { .. }
             | Order::Reject(_)
             | Order::Cancel(_)
             | Order::Pause
@@ -89,8 +98,8 @@ impl Order {
             | Order::Park
             | Order::Release(_)
             | Order::Recover(_) => Role::Operate,
-            Order::Approve(_) | Order::Reject(_) => Role::Approve,
-            Order::ConfirmGripper => Role::Engineer,
+            Order::Approve { .. } | Order::Reject(_) => Role::Approve,
+            Order::ConfirmGripper | Order::Calibrate => Role::Engineer,
         }
     }
 }
@@ -234,7 +243,8 @@ mod tests {
             assert!(order.only_stops() && order.least_role() == Role::View && !order.needs_sight());
         }
         let moves = [Order::Arm, Order::Resume, Order::Step, Order::Park, Order::Recover(WayBack::Place)];
-        for order in moves.into_iter().chain([Order::Release(Channels::Both), Order::ConfirmGripper]) {
+        let confirmed = [Order::Release(Channels::Both), Order::ConfirmGripper, Order::Calibrate];
+        for order in moves.into_iter().chain(confirmed) {
             assert!(
                 !order.only_stops() && order.needs_sight() && order.least_role() > Role::View,
                 "{order:?}"

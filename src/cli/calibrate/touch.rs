@@ -14,7 +14,7 @@ use crate::config::setup::reference_markers;
 use crate::daemon::shell::Shell;
 use crate::jobs::utc;
 use cell_calibration::files::hand_eye::Provenance;
-use cell_calibration::files::touches::{Spot, Target, Touches};
+use cell_calibration::files::touches::{Target, Touches};
 use cell_calibration::fit::HandEye;
 use cell_calibration::fit::touch::{Registration, RegistrationLimits, TouchFit};
 use cell_calibration::tied::FittedTouches;
@@ -100,19 +100,7 @@ fn tip(text: &str) -> Result<Tip, String> {
 }
 
 fn target(text: &str) -> Result<Target, String> {
-    let help = || {
-        let words = Spot::ALL.map(Spot::as_str).join(", ");
-        format!("give a marker's number, number:spot ({words}), or x/y in m")
-    };
-    if text.contains('/') {
-        let flat = numbers::<2>(text.split('/')).map(|[x, y]| [x, y, 0.0]);
-        let point = flat.or_else(|| numbers::<3>(text.split('/')));
-        let near = point.filter(|point| point.iter().all(|v| v.abs() <= 3.0));
-        return near.map(Target::Point).ok_or_else(help);
-    }
-    let (id, spot) = text.split_once(':').unwrap_or((text, "centre"));
-    let at = spot.parse::<Spot>().map_err(|_| help())?;
-    Ok(Target::Marker { id: id.trim().parse().map_err(|_| help())?, at })
+    text.parse()
 }
 
 /// Records touches; returns the exit code.
@@ -289,6 +277,7 @@ fn report(touches: &Touches, used: &[usize], fit: &TouchFit) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use cell_calibration::files::touches::Spot;
 
     #[test]
     fn points_and_tips_are_read_or_explained() {

@@ -116,7 +116,7 @@ async fn with_sim(
     let scene = scene(config, &measured).map_err(|error| chain(&error))?;
     let perception = Perception::new(scene, DetectSettings::default()).map_err(|error| chain(&error))?;
     let sight = Sight::Cell(Box::new(perception));
-    shell.see_with(PerceptionSetup { camera: Box::new(camera), sight, diagnostic_images: None });
+    shell.see_with(PerceptionSetup { camera: Box::new(camera), sight, diagnostic_images: None, film: None });
     let model = cell_model(config, &measured).map_err(|error| error.to_string())?;
     // Nothing real moves: the cell arms itself.
     shell.commission(model, true);
@@ -146,6 +146,7 @@ async fn calibrate(
         camera: Box::new(camera),
         sight: Sight::Markers(Box::new(detector)),
         diagnostic_images: None,
+        film: None,
     });
     shell.commission(nominal_model(config, &arm, &lens), false);
     let round = RoundOrder { poses: config.calibration_poses.clone(), room: config.calibration_box };

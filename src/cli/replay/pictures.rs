@@ -3,7 +3,7 @@
 //! In: pictures and the markers that were found in them. Out: for each picture that shows something else
 //! now, what; and how far the corners of the others moved.
 
-use super::page::PICTURES;
+use crate::daemon::playback::PICTURES;
 use crate::io::recording::read::Entry;
 use cell_machine::event::Event;
 use cell_replay::{Kind, event_of};

@@ -76,6 +76,10 @@ impl CameraSource for MonitoredCamera {
         }
     }
 
+    fn glimpse(&mut self) -> Result<Frame, CameraError> {
+        self.source.glimpse()
+    }
+
     fn want_depth(&mut self, wanted: bool) {
         self.source.want_depth(wanted);
     }

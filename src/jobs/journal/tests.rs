@@ -208,6 +208,7 @@ fn what_is_found_planned_and_approved_is_there_after_a_restart() {
         kind: StepKind::Buffer,
     };
     let plan = PlanRecord {
+        number: 1,
         steps: vec![step.clone()],
         lower_bound: None,
         seconds: Some(8.5),

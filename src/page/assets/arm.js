@@ -20,7 +20,9 @@ export function arm3d() {
   const stops = [on("arm", joints)];
   let gone = false;
   view.stop = () => { gone = true; stops.forEach((stop) => stop()); };
-  import("./vendor/three.module.min.js").then((three) => {
+  // Large, and the only thing here that is: after everything that can be read.
+  const idle = new Promise((done) => (window.requestIdleCallback ? requestIdleCallback(done, { timeout: 1500 }) : setTimeout(done, 300)));
+  idle.then(() => gone ? null : import("./vendor/three.module.min.js")).then((three) => {
     if (gone) return;
     try {
       stops.push(...scene(three, canvas));

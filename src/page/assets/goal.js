@@ -244,9 +244,10 @@ export function goalPage(main) {
     try {
       const answer = await api("preview", { body: { text: jobText() } });
       draft.plan = answer.plan;
-      fill(result, h("p", { class: "note", id: "planned" }, h("strong", {}, `${answer.plan.steps.length} ${t("moves")}`), `, ${t("{count} to a temporary place", { count: answer.buffers })}`,
+      fill(result, h("p", { class: "note", id: "planned" }, h("strong", {}, `${t("moves")}: ${answer.plan.steps.length}`), `, ${t("{count} to a temporary place", { count: answer.buffers })}`,
         answer.plan.lower_bound !== null ? `; ${t("at least {bound} are needed", { bound: number(answer.plan.lower_bound, answer.plan.lower_bound % 1 ? 2 : 0) })}` : "",
-        answer.plan.seconds ? `; ${t("about {time}", { time: duration(answer.plan.seconds) })}` : "", `. ${t("From a look {time} ago.", { time: duration(answer.plan.sight_age_s) })}`));
+        answer.plan.seconds ? `; ${t("about {time}", { time: duration(answer.plan.seconds) })}` : "", `. ${t("From a look {time} ago.", { time: duration(answer.plan.sight_age_s) })}`),
+        answer.doubt && h("p", { class: "note wrong", id: "doubt" }, t("As the table was seen last, the cell would refuse this job:"), " ", answer.doubt.message, answer.doubt.hint ? [h("br"), "→ ", answer.doubt.hint] : null));
       draw();
       return answer;
     } catch (error) {
@@ -266,7 +267,7 @@ export function goalPage(main) {
   const lookAround = async () => {
     try {
       const { id } = await api("jobs", { body: { text: JSON.stringify({ version: 1, goal: { look: true }, rerun: true }), name: "look" } });
-      fill(result, h("p", { class: "note", id: "looking" }, t("Job {job} looks at the table as soon as the cell is armed.", { job: id })));
+      fill(result, h("p", { class: "note", id: "looking" }, t("Job {job} looks at the table as soon as the cell is armed.", { job: id }), " ", h("a", { href: "#live" }, t("To the cell"))));
     } catch (error) {
       fill(result, h("p", { class: "note wrong" }, error.message));
     }

@@ -101,7 +101,7 @@ function moves() {
   if (!plan) return h("p", { class: "soft" }, t("No plan at the moment."));
   const made = job && step ? step[0] : 0;
   return [
-    h("p", {}, `${plan.steps.length} ${t("moves")}, `, t("{count} to a temporary place", { count: plan.steps.filter(({ kind }) => kind !== "goal").length }),
+    h("p", {}, `${t("moves")}: ${plan.steps.length}, `, t("{count} to a temporary place", { count: plan.steps.filter(({ kind }) => kind !== "goal").length }),
       plan.lower_bound !== null ? `; ${t("at least {bound} are needed", { bound: number(plan.lower_bound, plan.lower_bound % 1 ? 2 : 0) })}` : "",
       plan.seconds ? `; ${t("about {time}", { time: duration(plan.seconds) })}` : ""),
     plan.preview && h("p", { class: "hint" }, t("A preview from a look {time} before: the cell looks again before it moves.", { time: duration(plan.sight_age_s) })),

@@ -7,11 +7,12 @@ import { livePage } from "./live.js";
 import { goalPage } from "./goal.js";
 import { jobsPage } from "./jobs.js";
 import { setupPage } from "./setup.js";
+import { calibratePage } from "./calibrate.js";
 import { stop } from "./orders.js";
 
 const main = document.getElementById("main");
 const bar = document.getElementById("bar");
-const screens = { live: ["Now", livePage], goal: ["Set a goal", goalPage], jobs: ["Jobs", jobsPage], setup: ["Setup", setupPage] };
+const screens = { live: ["Now", livePage], goal: ["Set a goal", goalPage], jobs: ["Jobs", jobsPage], calibrate: ["Calibrate", calibratePage], setup: ["Setup", setupPage] };
 let leave = () => {};
 
 function gate(message) {
@@ -87,4 +88,6 @@ async function start() {
   on("stale", () => { document.getElementById("stale").hidden = !state.stale; });
 }
 
-start();
+// What is there is painted before anything is computed; a page in the background does not paint.
+if (document.hidden) start();
+else requestAnimationFrame(() => setTimeout(start));

@@ -3,7 +3,7 @@
 // `state` is the last of everything; `on(kind, f)` calls f at every change of a kind. A stream without a beat
 // for 1.1 s is stale: the page says so, and of its orders only stops go out.
 
-export const state = { me: null, cell: null, status: null, arm: null, sight: null, control: null, sentences: [], vacuum: null, picture: 0, beat: null, stale: true };
+export const state = { me: null, cell: null, status: null, arm: null, sight: null, control: null, sentences: [], vacuum: null, found: null, picture: 0, beat: null, stale: true };
 const listeners = {};
 let source = null;
 let heard = 0;
@@ -58,6 +58,7 @@ const kinds = {
   picture: (data) => { state.picture = data; },
   sentences: (data) => { state.sentences = data; },
   sentence: (data) => { state.sentences = [...state.sentences, data].slice(-200); },
+  found: (data) => { state.found = data; },
   beat: (data) => { state.beat = data; },
 };
 

@@ -80,9 +80,9 @@ function approval(status) {
   const plan = status.plan;
   const disabled = state.stale || !may("approve");
   return h("div", { class: "note" }, h("p", {}, h("strong", {}, t("Job {job} waits for approval", { job: waiting })),
-    plan ? `: ${plan.steps.length} ${t("moves")}` : "", plan?.preview ? ` (${t("preview from an earlier look")})` : ""),
+    plan ? `; ${t("moves")}: ${plan.steps.length}` : "", plan?.preview ? ` (${t("preview from an earlier look")})` : ""),
   h("div", { class: "row" },
-    h("button", { type: "button", class: "first", id: "order-approve", disabled, click: () => give(t("Approve"), { do: "approve", id: waiting }, { plan_unix_s: plan?.unix_s }) }, t("Approve")),
+    h("button", { type: "button", class: "first", id: "order-approve", disabled, click: () => give(t("Approve"), { do: "approve", id: waiting, plan: plan?.number }) }, t("Approve")),
     h("button", { type: "button", id: "order-reject", disabled, click: () => give(t("Reject"), { do: "reject", id: waiting }) }, t("Reject"))));
 }
 

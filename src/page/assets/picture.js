@@ -1,8 +1,10 @@
-// The camera's last picture with what was recognised, where things go, and the numbered moves.
+// The camera's last picture with what was recognised, where things go, and the numbered moves; or the
+// pictures as they come, without all that: the arm moves, and what was recognised was seen from elsewhere.
 
 import { h, s, card, fill } from "./dom.js";
 import { api, on, state, colour } from "./net.js";
 import { t } from "./text.js";
+import { film } from "./film.js";
 
 const line = (points) => "M" + points.map(([x, y]) => `${x} ${y}`).join("L") + "Z";
 
@@ -11,7 +13,20 @@ export function picture() {
   const over = s("svg", { "aria-hidden": "true" });
   const holder = h("div", { class: "picture", hidden: true }, image, over);
   const none = h("p", { class: "soft" }, t("No picture yet: the camera is asked when the cell looks."));
+  const live = film();
+  const moving = h("div", { class: "picture", hidden: true }, live.image);
+  const toggle = h("button", { type: "button", id: "film", "aria-pressed": "false", click: () => turn(moving.hidden) }, t("Live"));
   let shown = 0;
+  let wanted = "";
+  const turn = (on) => {
+    toggle.setAttribute("aria-pressed", String(on));
+    toggle.classList.toggle("first", on);
+    moving.hidden = !on;
+    holder.hidden = on || !shown;
+    none.hidden = on || Boolean(shown);
+    live.turn(on);
+    localStorage.setItem("film", on ? "on" : "");
+  };
   const draw = (view) => {
     over.setAttribute("viewBox", `0 0 ${view.width} ${view.height}`);
     const middle = (points) => points.reduce(([a, b], [x, y]) => [a + x / points.length, b + y / points.length], [0, 0]);
@@ -40,16 +55,16 @@ export function picture() {
         shown = view.number;
         image.src = `/api/v1/picture.jpg?number=${shown}`;
       }
-      holder.hidden = false;
       none.hidden = true;
+      holder.hidden = !moving.hidden;
       draw(view);
     } catch { /* there is none yet */ }
   };
-  let plan = "";
   const stops = [on("picture", update), on("sight", update), on("status", () => {
     const now = JSON.stringify([state.status?.plan?.unix_s, state.status?.job]);
-    if (now !== plan) { plan = now; update(); }
-  })];
+    if (now !== wanted) { wanted = now; update(); }
+  }), live.stop];
   update();
-  return { element: card(t("Camera"), holder, none), stop: () => stops.forEach((stop) => stop()) };
+  if (localStorage.getItem("film")) turn(true);
+  return { element: card(t("Camera"), h("div", { class: "row" }, toggle), holder, moving, none), stop: () => stops.forEach((stop) => stop()) };
 }

@@ -1,4 +1,4 @@
-// What is set once: language and light, markers to print, who is signed in, how the cell is calibrated.
+// What is set once: language and light, markers to print, who is signed in.
 
 import { h, card, fill } from "./dom.js";
 import { api, state } from "./net.js";
@@ -17,8 +17,8 @@ function markers() {
 }
 
 function look() {
-  const tongue = h("select", { "aria-label": t("Language"), change: (event) => { localStorage.setItem("language", event.target.value); location.reload(); } },
-    Object.entries(languages).map(([code, name]) => h("option", { value: code, selected: code === language() }, name)));
+  const tongue = h("select", { id: "language", "aria-label": t("Language"), change: (event) => { localStorage.setItem("language", event.target.value); location.reload(); } });
+  languages().then((all) => fill(tongue, Object.entries(all).map(([code, name]) => h("option", { value: code, lang: code, selected: code === language() }, name))));
   const theme = h("select", { "aria-label": t("Light or dark"), change: (event) => { localStorage.setItem("theme", event.target.value); document.documentElement.dataset.theme = event.target.value; } },
     [["", t("as the computer")], ["light", t("light")], ["dark", t("dark")]].map(([code, name]) => h("option", { value: code, selected: code === (localStorage.getItem("theme") ?? "") }, name)));
   return card(t("Language and light"), h("div", { class: "row" }, tongue, theme));
@@ -31,15 +31,8 @@ function person() {
     h("p", { class: "soft" }, t("On the cell's computer, `celld open` signs a browser in, and `celld open --token` gives a program a token.")));
 }
 
-function calibration() {
-  const steps = [["celld calibrate camera", t("the lens, from pictures of a board")], ["celld calibrate hand-eye", t("where the camera sits on the arm")], ["celld calibrate table", t("the table, touched with the tool's tip")], ["celld doctor", t("whether all fits together")]];
-  return card(t("Calibration"), h("p", {}, t("Calibration moves the arm and is done at the cell, on the terminal, while celld does not run:")),
-    h("ol", {}, steps.map(([command, words]) => h("li", {}, h("code", {}, command), " – ", words))),
-    h("p", { class: "soft" }, t("How far the reference markers seem to be off, look by look, is on the first screen under trends.")));
-}
-
 export function setupPage(main) {
-  fill(main, h("div", { class: "grid" }, look(), person(), markers(), calibration(),
+  fill(main, h("div", { class: "grid" }, look(), person(), markers(),
     card(t("Interface for programs"), h("p", {}, h("a", { href: "/api/v1/openapi.json" }, "OpenAPI"), ", ", h("a", { href: "/metrics" }, "Prometheus")))));
   return () => {};
 }

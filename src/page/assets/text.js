@@ -1,21 +1,32 @@
 // Texts in the language of the browser, or the one chosen: English is in the scripts, others in one table
-// each. What the cell itself says (status, reasons) stays in its own words.
+// each, built in or from the configuration's files. What the cell itself says (status, reasons) stays in its
+// own words.
 
 let table = {};
-export const languages = { en: "English", de: "Deutsch" };
+let shown = "en";
 
 export function language() {
-  const chosen = localStorage.getItem("language");
-  if (chosen && languages[chosen]) return chosen;
-  return navigator.language.toLowerCase().startsWith("de") ? "de" : "en";
+  return shown;
+}
+
+/** All languages by their codes. */
+export async function languages() {
+  try {
+    return await (await fetch("/texts.json")).json();
+  } catch {
+    return { en: "English" };
+  }
 }
 
 export async function load() {
-  const chosen = language();
-  document.documentElement.lang = chosen;
-  if (chosen === "en") return;
-  const answer = await fetch(`/text-${chosen}.json`);
-  table = answer.ok ? await answer.json() : {};
+  const wanted = localStorage.getItem("language") || navigator.language.toLowerCase().split("-")[0];
+  if (wanted !== "en" && /^[a-z]{2,3}$/.test(wanted)) {
+    try {
+      const answer = await fetch(`/text-${wanted}.json`);
+      if (answer.ok) [table, shown] = [await answer.json(), wanted];
+    } catch { /* English, then */ }
+  }
+  document.documentElement.lang = shown;
 }
 
 /** The text in the chosen language, `{name}` filled in. */

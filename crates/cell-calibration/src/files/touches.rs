@@ -98,6 +98,32 @@ impl Target {
     }
 }
 
+/// As people write it: a marker's number, a number with a spot of its square, or x/y in m.
+impl FromStr for Target {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Target, String> {
+        let help = || {
+            let words = Spot::ALL.map(Spot::as_str).join(", ");
+            format!("give a marker's number, number:spot ({words}), or x/y in m")
+        };
+        if text.contains('/') {
+            let numbers: Option<Vec<f64>> = text
+                .split('/')
+                .map(|part| part.trim().parse().ok().filter(|v: &f64| v.abs() <= 3.0))
+                .collect();
+            return match numbers.as_deref() {
+                Some(&[x, y]) => Ok(Target::Point([x, y, 0.0])),
+                Some(&[x, y, z]) => Ok(Target::Point([x, y, z])),
+                _ => Err(help()),
+            };
+        }
+        let (id, spot) = text.split_once(':').unwrap_or((text, "centre"));
+        let at = spot.parse::<Spot>().map_err(|_| help())?;
+        Ok(Target::Marker { id: id.trim().parse().map_err(|_| help())?, at })
+    }
+}
+
 impl std::fmt::Display for Target {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {

@@ -18,10 +18,10 @@ impl Supervisor {
         Some(match order {
             Order::Arm => Reply::accept(self.armed_and_now()),
             Order::Disarm => Reply::accept(self.disarmed_and_now(outside)),
-            Order::Approve(_) if !self.mode.armed() => {
+            Order::Approve { .. } if !self.mode.armed() => {
                 Reply::accept("approved; nothing moves before `celld arm`")
             }
-            Order::Approve(_) => Reply::accept(self.approved_and_now()),
+            Order::Approve { .. } => Reply::accept(self.approved_and_now()),
             Order::Reject(_) => Reply::accept("rejected; the job has ended"),
             Order::Cancel(_) => Reply::accept(self.cancelling()),
             Order::Pause => Reply::accept(self.pausing()),
@@ -42,6 +42,7 @@ impl Supervisor {
             | Order::Release(_)
             | Order::ConfirmGripper => return None,
             Order::Recover(way) => return Some(self.recovering(outside, *way)),
+            Order::Calibrate => Reply::accept(self.calibrating()),
         })
     }
 

@@ -12,6 +12,7 @@ use cell_motion::put_down::Grasp;
 use cell_values::time::Timestamp;
 use rearrange::geometry::pose::Pose2;
 use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
 
 /// What may hang on the gripper.
 #[derive(Clone, Debug, Deserialize, Serialize)]
@@ -90,7 +91,19 @@ pub(crate) struct Recovery {
     pub raised: bool,
     /// Where what is held hangs over then.
     pub below: Option<Pose2>,
+    pub search: Option<PlaceSearch>,
     pub place: Option<Placing>,
+}
+
+/// A search for a place for what is held: which are free, and how far the paths to them were tried.
+#[derive(Debug, Deserialize, Serialize)]
+pub(crate) struct PlaceSearch {
+    /// Nearest first, and whether it is the one it was carried to.
+    pub places: VecDeque<(Pose2, bool)>,
+    /// When the last one was tried.
+    pub tried: Option<Timestamp>,
+    /// Why the first cannot be reached.
+    pub fault: Option<String>,
 }
 
 /// Where what is held is put down.

@@ -41,6 +41,8 @@ pub struct Supervisor {
     pub(crate) ledger: Ledger,
     pub(crate) job: Option<JobRun>,
     pub(crate) round: Option<Round>,
+    /// Number of the plan that was made last.
+    pub(crate) plans: u64,
     pub(crate) seen: Option<Seen>,
     /// When the look behind `seen` was over.
     pub(crate) seen_at: Timestamp,
@@ -102,6 +104,7 @@ impl Supervisor {
             ledger: Ledger::default(),
             job: None,
             round: None,
+            plans: 0,
             seen: None,
             seen_at: Timestamp::ZERO,
             glance: None,
@@ -274,7 +277,7 @@ impl Supervisor {
         self.waiting_for = None;
     }
 
-    fn on_job(&mut self, now: Timestamp, order: JobOrder, out: &mut Vec<Action>) {
+    pub(crate) fn on_job(&mut self, now: Timestamp, order: JobOrder, out: &mut Vec<Action>) {
         let wanted = match (&order.rule, order.goals.len()) {
             (Some(_), 0) => "its goal follows from what is seen".to_string(),
             (_, goals) => format!("{goals} goals"),

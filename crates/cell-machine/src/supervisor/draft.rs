@@ -13,7 +13,7 @@ use crate::supervisor::model::CellModel;
 use crate::supervisor::order::JobOrder;
 use crate::supervisor::reason::Reason;
 use crate::supervisor::route::why_no_plan;
-use cell_values::time::Duration;
+use cell_values::time::{Duration, Timestamp};
 use cell_vision::observe::Observation;
 use rearrange::geometry::pose::Pose2;
 
@@ -41,9 +41,22 @@ pub struct Draft {
     pub plan: PlanNote,
     /// Where each object with a goal is wanted.
     pub goals: Vec<(String, Pose2)>,
+    /// What the cell would refuse the job for if it saw the same again.
+    pub doubt: Option<NoDraft>,
 }
 
-/// Plans for `order` on what was `seen`, `age` ago. `over` ends each try of the planner, `seconds` is how
+/// The table as it was seen last.
+#[derive(Clone, Copy, Debug)]
+pub struct Glimpse<'a> {
+    /// What was seen.
+    pub seen: &'a Observation,
+    /// All of the table was looked at.
+    pub whole: bool,
+    /// How long ago.
+    pub age: Duration,
+}
+
+/// Plans for `order` on what was seen last. `over` ends each try of the planner, `seconds` is how
 /// long it has taken.
 ///
 /// # Errors
@@ -51,13 +64,13 @@ pub struct Draft {
 pub fn draft(
     model: CellModel,
     order: &JobOrder,
-    seen: &Observation,
-    age: Duration,
+    Glimpse { seen, whole, age }: Glimpse,
     over: &(dyn Fn(u32) -> bool + Sync),
     seconds: &dyn Fn() -> f64,
 ) -> Result<Draft, NoDraft> {
     // A supervisor of its own, which is never connected to anything.
-    let planner = Supervisor::new(model, 0);
+    let mut planner = Supervisor::new(model, 0);
+    planner.on_job(Timestamp::ZERO, order.clone(), &mut Vec::new());
     let goals = planner.goals_on(order, seen)?;
     let request = planner.plan_request(order, 0, &goals, seen);
     let answer = answer(&request, None, over, seconds);
@@ -68,5 +81,6 @@ pub fn draft(
     let route = route.ok_or_else(|| {
         Code::NoPlan.because("the plan names what was not seen", "look again, then try again")
     })?;
-    Ok(Draft { plan: planner.plan_note(&route, *lower_bound, seen, Some(age)), goals })
+    let doubt = planner.doubt_of_sight(seen, whole).map(NoDraft::from);
+    Ok(Draft { plan: planner.plan_note(&route, *lower_bound, seen, Some(age)), goals, doubt })
 }

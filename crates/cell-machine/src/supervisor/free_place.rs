@@ -2,13 +2,15 @@
 //!
 //! In: where the object hangs, a look made after the stop. Out: a pose on the table that is inside it, clear
 //! of everything seen, of keep-out regions and of what was there before the stop and is not seen now, with
-//! paths down and up that pass the check; or why there is none. Pure.
+//! paths down and up that pass the check; or why there is none. One place is tried at a time: a path takes
+//! longer than the heartbeat may wait for twelve of them. Pure.
 
-use crate::supervisor::back::Held;
+use crate::supervisor::back::{Held, PlaceSearch};
 use crate::supervisor::cell::Supervisor;
 use crate::supervisor::model::CellObject;
 use cell_motion::bodies::Standing;
-use cell_motion::put_down::PutDown;
+use cell_motion::put_down::{Grasp, PutDown};
+use cell_values::time::Timestamp;
 use cell_values::units::Joints;
 use cell_vision::foreign::{ForeignObject, Hole};
 use cell_vision::observe::Observation;
@@ -26,8 +28,18 @@ const RING_M: f64 = 0.015;
 const RINGS: usize = 40;
 const PLACES: usize = 24;
 
-/// Free places whose paths are tried: no heartbeat goes out meanwhile.
+/// Free places whose paths are tried.
 const TRIES: usize = 12;
+
+/// What the next step of a search comes to.
+pub(crate) enum Searched {
+    /// A place, whether it is the one it was carried to, and the paths.
+    Found(Pose2, bool, Box<PutDown>),
+    /// There are others to try, the next time that time is handed over.
+    NotYet,
+    /// No place.
+    Nowhere(String),
+}
 
 /// Something that takes room on the table.
 struct Taken {
@@ -53,38 +65,60 @@ fn is_of(object: &CellObject, pose: &Pose2, thing: &ForeignObject) -> bool {
 }
 
 impl Supervisor {
-    /// A place for what is held, whether it is the one it was carried to, and the paths.
-    pub(crate) fn place_for_held(
-        &self,
-        q: &Joints,
-        below: Pose2,
-        seen: &Observation,
-    ) -> Result<(Pose2, bool, PutDown), String> {
-        let held = self.back.held.as_ref().ok_or("nothing is known to be held")?;
-        let object = self.model.object(&held.object).ok_or("the catalogue does not have what is held")?;
-        let grasp = held.grasp.as_ref().ok_or("how the object hangs is not known")?;
+    /// The free places for what is held, nearest first.
+    pub(crate) fn places_for_held(&self, below: Pose2, seen: &Observation) -> Result<PlaceSearch, String> {
+        let (held, object, _) = self.held_object()?;
         let taken = self.taken(held, seen);
         let free =
             |pose: &Pose2| self.is_free(&object.footprint, object.grip_point, held.height, pose, &taken);
+        let ring = around(below).map(|pose| (pose, false));
+        let candidates = std::iter::once((held.to, true)).chain(ring).filter(|(pose, _)| free(pose));
+        Ok(PlaceSearch { places: candidates.take(TRIES).collect(), tried: None, fault: None })
+    }
+
+    /// Tries the path to the next place, once at a time.
+    pub(crate) fn try_place(
+        &self,
+        now: Timestamp,
+        q: &Joints,
+        seen: &Observation,
+        search: &mut PlaceSearch,
+    ) -> Searched {
+        if search.tried == Some(now) {
+            return Searched::NotYet;
+        }
+        search.tried = Some(now);
+        let (held, _, grasp) = match self.held_object() {
+            Ok(known) => known,
+            Err(why) => return Searched::Nowhere(why.to_string()),
+        };
+        let Some((pose, meant)) = search.places.pop_front() else {
+            return Searched::Nowhere(match search.fault.take() {
+                None => "no place on the table is free; make room by hand".to_string(),
+                Some(fault) => format!("no free place can be reached: {fault}"),
+            });
+        };
         let mut table = self.tabletop(Some(seen), &held.object);
         let hidden = self.hidden(held, seen).filter_map(|(id, pose)| {
             let object = self.model.object(id)?;
             Some(object.pick_n_place(pose, pose).lying_at(pose))
         });
         table.standing.extend(hidden);
-        let mut fault = None;
-        let ring = around(below).map(|pose| (pose, false));
-        let candidates = std::iter::once((held.to, true)).chain(ring).filter(|(pose, _)| free(pose));
-        for (pose, meant) in candidates.take(TRIES) {
-            match grasp.put_down(&self.model.arm, q, &pose, &self.cycle(), &table) {
-                Ok(paths) => return Ok((pose, meant, paths)),
-                Err(found) => fault = fault.or(Some(found)),
+        match grasp.put_down(&self.model.arm, q, &pose, &self.cycle(), &table) {
+            Ok(paths) => Searched::Found(pose, meant, Box::new(paths)),
+            Err(fault) => {
+                search.fault.get_or_insert_with(|| fault.to_string());
+                Searched::NotYet
             }
         }
-        Err(fault.map_or_else(
-            || "no place on the table is free; make room by hand".to_string(),
-            |fault| format!("no free place can be reached: {fault}"),
-        ))
+    }
+
+    /// What is held, as the catalogue has it, and how it hangs.
+    fn held_object(&self) -> Result<(&Held, &CellObject, &Grasp), &'static str> {
+        let held = self.back.held.as_ref().ok_or("nothing is known to be held")?;
+        let object = self.model.object(&held.object).ok_or("the catalogue does not have what is held")?;
+        let grasp = held.grasp.as_ref().ok_or("how the object hangs is not known")?;
+        Ok((held, object, grasp))
     }
 
     /// Everything that is on the table besides what is held, as far as it is known.

@@ -150,6 +150,9 @@ pub struct PlanRequest {
 /// A plan with what a person needs to judge it.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct PlanNote {
+    /// Which plan of this celld it is, from 1: what a person agrees to. 0: a draft, which waits for no
+    /// person.
+    pub number: u64,
     /// All of it, in order.
     pub actions: Vec<RouteAction>,
     /// In the job's objective.

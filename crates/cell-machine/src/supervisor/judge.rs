@@ -12,7 +12,7 @@ use crate::supervisor::reason::{Reason, say};
 use cell_motion::pick_n_place::CycleParameters;
 use cell_vision::foreign::{ForeignObject, ForeignReport};
 use cell_vision::observe::Observation;
-use cell_vision::observe::reference::MARKERS_MIN;
+use cell_vision::observe::reference::{MARKERS_MIN, ReferenceCheck};
 use rearrange::geometry::collision::penetration;
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
@@ -52,6 +52,29 @@ impl Supervisor {
         } else {
             calibration.or_else(foreign).or_else(objects)
         }
+    }
+
+    /// What the cell would refuse a job for, as far as what was seen last shows; `whole`: that was all of
+    /// the table. Of a part of it only what is wrong there counts, not what is not shown.
+    pub(crate) fn doubt_of_sight(&self, seen: &Observation, whole: bool) -> Option<Reason> {
+        if whole {
+            return self.judge(seen);
+        }
+        let enough = |check: &ReferenceCheck| {
+            check.markers.len() >= self.model.tolerances.reference_seen && !check.looks.is_empty()
+        };
+        let shown = Observation {
+            reference: seen.reference.clone().filter(enough),
+            foreign: seen.foreign.clone().map(|report| ForeignReport {
+                measured_share: 1.0,
+                holes: Vec::new(),
+                ..report
+            }),
+            ..seen.clone()
+        };
+        let calibration = || shown.reference.as_ref().and_then(|_| self.doubt_calibration(&shown));
+        let foreign = || shown.foreign.as_ref().and_then(|_| self.doubt_foreign(&shown));
+        calibration().or_else(foreign).or_else(|| self.doubt_objects(&shown))
     }
 
     /// What makes a look useless for putting down what is held, whatever job waits. Of the held object

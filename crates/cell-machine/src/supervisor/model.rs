@@ -4,6 +4,7 @@
 //! Lengths in m, angles in rad, masses in kg.
 
 use crate::device::gripper_types::Channels;
+use crate::supervisor::round::RoundOrder;
 use crate::views::{Rig, SightModel, Views};
 use cell_calibration::files::hand_eye::Mount;
 use cell_motion::path::ArmModel;
@@ -190,6 +191,8 @@ pub struct CellModel {
     pub sight: Option<SightModel>,
     /// Where the arm rests.
     pub park: Joints,
+    /// Where a calibration round goes that a person orders; no poses: there is none.
+    pub round: RoundOrder,
     /// Size of the table's work area.
     pub workspace: Workspace,
     /// Gap kept round every new place, m.

@@ -28,7 +28,10 @@ impl Supervisor {
         match order {
             Order::Arm => return self.on_arm(outside, out),
             Order::Disarm => self.on_disarm(now, outside, number, out),
-            Order::Approve(id) => return self.on_verdict(now, id, true, out),
+            Order::Approve { id, plan: Some(plan) } if *plan != self.plans => {
+                return Some(self.another_plan(id));
+            }
+            Order::Approve { id, .. } => return self.on_verdict(now, id, true, out),
             Order::Reject(id) => return self.on_verdict(now, id, false, out),
             Order::Cancel(id) => return self.on_cancel(id),
             Order::Pause | Order::Step | Order::Park if self.has_no_pace().is_some() => {
@@ -59,6 +62,7 @@ impl Supervisor {
             Order::Release(channels) => self.on_release_order(now, outside, number, *channels, out),
             Order::Recover(way) => return self.on_recover(now, outside, number, *way, out),
             Order::ConfirmGripper => return Some(self.on_confirm_gripper(outside, out)),
+            Order::Calibrate => return self.on_calibrate(now, outside),
         }
         None
     }
@@ -90,7 +94,7 @@ impl Supervisor {
         (!self.mode.paused()).then(|| self.not_armed(outside, "not paused, and nothing moves"))
     }
 
-    fn not_armed(&self, outside: &DeviceSnapshot, what: &str) -> Reply {
+    pub(crate) fn not_armed(&self, outside: &DeviceSnapshot, what: &str) -> Reply {
         Reply::refuse(match &self.mode {
             Mode::Ending { .. } => format!("{what}: celld is ending"),
             Mode::Locked(reason) => format!("{what}: {reason}"),
@@ -248,6 +252,14 @@ impl Supervisor {
             | Phase::Recover(_) => {}
         }
         begun
+    }
+
+    /// What a person agrees to is not what waits.
+    fn another_plan(&self, id: &str) -> Reply {
+        if self.job.as_ref().is_none_or(|job| job.order.id != id) {
+            return self.not_active(id);
+        }
+        Reply::refuse("not approved: the plan has changed since it was shown; look at the new one")
     }
 
     /// A person has seen the plan.

@@ -73,10 +73,18 @@ impl Supervisor {
         };
         say(out, format!("job {id}: preview from what was seen {age}: {} pick-n-places", route.len()));
         self.set_preview(Preview::Made(route));
-        self.commit(now, Record::Planned(Box::new(note)), out);
+        self.commit_plan(now, note, out);
         if self.preview_waits() {
             alarm(out, format!("job {id}: the preview can be approved before the cell is armed"));
         }
+    }
+
+    /// Gives a plan its number and has it written down: from now on a person may agree to it, and to no
+    /// earlier one.
+    pub(crate) fn commit_plan(&mut self, now: Timestamp, note: PlanNote, out: &mut Vec<Action>) {
+        self.plans += 1;
+        let note = PlanNote { number: self.plans, ..note };
+        self.commit(now, Record::Planned(Box::new(note)), out);
     }
 
     fn set_preview(&mut self, preview: Preview) {
@@ -111,6 +119,7 @@ impl Supervisor {
         let moves = route.iter().map(|action| (action.from, action.to));
         let table: Vec<(String, Pose2)> = seen.objects.iter().map(|o| (o.id.clone(), o.pose)).collect();
         PlanNote {
+            number: 0,
             actions: route.to_vec(),
             lower_bound,
             seconds: self.cycle_times().seconds(moves),

@@ -12,6 +12,7 @@ use crate::device::robot_types::{RobotCommand, RobotState};
 use crate::orders::{Reply, WayBack};
 use crate::supervisor::back::{BackStage, Held, Placing, Recovery};
 use crate::supervisor::cell::Supervisor;
+use crate::supervisor::free_place::Searched;
 use crate::supervisor::gates;
 use crate::supervisor::input::{Action, DeviceSnapshot};
 use crate::supervisor::judge::foreign_height;
@@ -19,6 +20,7 @@ use crate::supervisor::phase::Phase;
 use crate::supervisor::reason::{Reason, alarm, say};
 use crate::supervisor::travel::NoTravel;
 use cell_values::time::{Duration, Timestamp};
+use cell_values::units::Joints;
 use cell_vision::observe::Observation;
 use rearrange::geometry::pose::Pose2;
 use ur_wire::enumerations::{RobotMode, SafetyMode};
@@ -54,7 +56,7 @@ impl Supervisor {
         let stopped = protective(outside);
         say(out, format!("way back by the operator's order: {}", self.announce(outside, way)));
         self.back.ended = None;
-        self.back.recovery = Some(Recovery { way, raised: false, below: None, place: None });
+        self.back.recovery = Some(Recovery { way, raised: false, below: None, search: None, place: None });
         if stopped {
             self.enter(Phase::Recover(BackStage::Unlocking { ordered: false }), UNLOCK_WITHIN);
         } else {
@@ -238,7 +240,7 @@ impl Supervisor {
         }
         match self.seen.take() {
             None => self.begin_whole_look(now, outside, out),
-            Some(seen) => self.put_down(outside, &seen, out),
+            Some(seen) => self.put_down(outside, seen, out),
         }
     }
 
@@ -269,29 +271,45 @@ impl Supervisor {
         self.back.held.as_ref()?.grasp.as_ref()?.object_at(&self.model.arm, &robot.q)
     }
 
-    fn put_down(&mut self, outside: &DeviceSnapshot, seen: &Observation, out: &mut Vec<Action>) {
+    fn put_down(&mut self, outside: &DeviceSnapshot, seen: Observation, out: &mut Vec<Action>) {
         let Some(robot) = outside.robot else { return };
-        let below = self.back.recovery.as_ref().and_then(|recovery| recovery.below);
-        let held = self.back.fell.is_none() && outside.gripper_holds;
-        let place = match below.filter(|_| held) {
-            Some(below) => self.place_for_held(&robot.q, below, seen),
-            None => Err("what is held is not held as it should".to_string()),
-        };
-        match place {
-            Ok((to, meant, paths)) => {
+        match self.place_sought(outside, &robot.q, &seen) {
+            // One path at a time: heartbeats go out between them.
+            Searched::NotYet => self.seen = Some(seen),
+            Searched::Found(to, meant, paths) => {
                 if let Some(recovery) = &mut self.back.recovery {
                     recovery.place = Some(Placing { to, meant, up: paths.up });
+                    recovery.search = None;
                 }
                 out.push(Action::Robot(RobotCommand::Stream(paths.down)));
                 self.enter(Phase::Recover(BackStage::Placing), self.model.tolerances.phase_deadline);
             }
-            Err(why) => {
+            Searched::Nowhere(why) => {
                 // Whoever tries again has made room: what is not seen now is not there then.
                 self.back.table =
                     seen.objects.iter().map(|object| (object.id.clone(), object.pose)).collect();
                 self.end_recovery(Err(why), out);
             }
         }
+    }
+
+    /// One step of the search for a place.
+    fn place_sought(&mut self, outside: &DeviceSnapshot, q: &Joints, seen: &Observation) -> Searched {
+        let below = self.back.recovery.as_ref().and_then(|recovery| recovery.below);
+        let held = self.back.fell.is_none() && outside.gripper_holds;
+        let Some(below) = below.filter(|_| held) else {
+            return Searched::Nowhere("what is held is not held as it should".to_string());
+        };
+        let search = self.back.recovery.as_mut().and_then(|recovery| recovery.search.take());
+        let mut search = match search.map_or_else(|| self.places_for_held(below, seen), Ok) {
+            Ok(search) => search,
+            Err(why) => return Searched::Nowhere(why),
+        };
+        let searched = self.try_place(self.clock(), q, seen, &mut search);
+        if let Some(recovery) = &mut self.back.recovery {
+            recovery.search = Some(search);
+        }
+        searched
     }
 
     /// The table was looked at on a way back.
@@ -319,6 +337,9 @@ impl Supervisor {
             None => {
                 self.seen = Some(observation);
                 self.seen_at = now;
+                if let Some(recovery) = &mut self.back.recovery {
+                    recovery.search = None;
+                }
             }
         }
     }

@@ -7,7 +7,7 @@ use cell_values::units::Joints;
 use serde::{Deserialize, Serialize};
 
 /// A round to be carried out.
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 pub struct RoundOrder {
     /// Where pictures are taken, in this order.
     pub poses: Vec<Joints>,

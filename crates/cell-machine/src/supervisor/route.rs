@@ -7,7 +7,7 @@
 use crate::code::{Code, JobStatus};
 use crate::orders::Approval;
 use crate::supervisor::cell::Supervisor;
-use crate::supervisor::input::{Action, DeviceSnapshot, PlanAnswer, PlanRequest, Record};
+use crate::supervisor::input::{Action, DeviceSnapshot, PlanAnswer, PlanRequest};
 use crate::supervisor::model::CellObject;
 use crate::supervisor::order::{JobOrder, RouteAction};
 use crate::supervisor::phase::{JobRun, Phase};
@@ -235,7 +235,7 @@ impl Supervisor {
             Approval::Always => self.model.is_rest_of(&route, &job.order.agreed),
         };
         job.route = Some(route);
-        self.commit(now, Record::Planned(Box::new(note)), out);
+        self.commit_plan(now, note, out);
         let Some(job) = &self.job else { return };
         if !job.approved {
             alarm(out, format!("job {}: the plan waits for approval", job.order.id));

@@ -11,6 +11,7 @@ use crate::supervisor::model::{
     CellModel, CellObject, DeviceAddresses, ForeignRule, GripSettings, Tolerances,
 };
 use crate::supervisor::order::JobOrder;
+use crate::supervisor::round::RoundOrder;
 use cell_calibration::files::hand_eye::Mount;
 use cell_motion::path::{ArmLimits, ArmModel};
 use cell_motion::pick_n_place::CycleParameters;
@@ -71,6 +72,7 @@ fn tolerances() -> Tolerances {
 
 fn model() -> CellModel {
     CellModel {
+        round: RoundOrder::default(),
         addresses: DeviceAddresses { robot: "10.0.0.2".into(), gripper: "10.0.0.3:502, unit 65".into() },
         gripper_confirmed: true,
         held_before: None,
@@ -427,17 +429,6 @@ fn a_disk_that_cannot_write_or_is_silent_stops_the_arm_and_ends_the_daemon() {
 }
 
 #[test]
-fn a_plan_that_needs_approval_waits_for_it() {
-    let mut bench = Bench::new();
-    bench.job(true);
-    bench.until_planning();
-    let mut waiting = bench.plan();
-    waiting.extend(bench.ticks(500));
-    assert_eq!(streams(&waiting), 0);
-    assert_eq!(streams(&bench.feed(order(Order::Approve("j".into())))), 1);
-}
-
-#[test]
 fn silence_while_moving_stops_first_then_ends_the_job_and_disarms() {
     let mut bench = Bench::new();
     bench.job(false);
@@ -576,7 +567,7 @@ fn a_plan_approved_late_waits_for_a_new_look() {
     bench.until_planning();
     bench.plan();
     bench.now += Duration::from_secs(31);
-    let actions = bench.feed(order(Order::Approve("j".into())));
+    let actions = bench.feed(order(Order::Approve { id: "j".into(), plan: None }));
     let journalled = |all: &[Action]| {
         all.iter().any(|a| matches!(a, Action::Commit { record: Record::Intent { .. }, .. }))
     };
@@ -591,5 +582,6 @@ mod faults;
 mod foreign;
 mod lapse;
 mod preview;
+mod rounds;
 mod sight;
 mod standing;

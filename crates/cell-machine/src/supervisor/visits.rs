@@ -1,11 +1,14 @@
 //! A calibration round: slow moves to given poses, one picture at each.
 //!
-//! In: the poses and the taught box; the order to begin is the operator's leave to move (design, section 7,
-//! rule 1, class *calibrate*). Out: a picture request at each pose where the arm is at rest, and at the end
-//! the cell disarmed, whatever happened, and the on-robot program ended, or stopped where a stop ended the
-//! round. The gates and the bring-up are those of every other motion.
+//! In: the poses and the taught box; the order to begin is the operator's leave to move (design, section
+//! 7, rule 1, class *calibrate*). `celld calibrate` hands poses over and arms by it; a person at the page
+//! orders the round of the taught poses in a cell that is armed, holds nothing and works on nothing. Out:
+//! a picture request at each pose where the arm is at rest, and at the end the cell disarmed, whatever
+//! happened, and the on-robot program ended, or stopped where a stop ended the round. The gates and the
+//! bring-up are those of every other motion.
 
 use crate::device::robot_types::RobotCommand;
+use crate::orders::Reply;
 use crate::supervisor::cell::Supervisor;
 use crate::supervisor::gates;
 use crate::supervisor::input::{Action, CameraFault, DeviceSnapshot};
@@ -51,6 +54,45 @@ impl Supervisor {
             Some(why) => out.push(Action::RoundOver(Err(RoundFault::Robot(why)))),
             None => self.round = Some(Round { order, at: 0 }),
         }
+    }
+
+    /// A person orders a round to the taught poses, in a cell that is armed already.
+    pub(crate) fn on_calibrate(&mut self, now: Timestamp, outside: &DeviceSnapshot) -> Option<Reply> {
+        let no = |why: String| Some(Reply::refuse(format!("no calibration round: {why}")));
+        let order = self.model.round.clone();
+        if order.poses.is_empty() {
+            return no("the configuration names no `calibration_poses_deg`".to_string());
+        }
+        if self.round.is_some() {
+            return Some(Reply::accept("a calibration round is under way already"));
+        }
+        if let Some(job) = &self.job {
+            return no(format!("job {} is under way; let it end, or cancel it", job.order.id));
+        }
+        if !self.mode.armed() {
+            return Some(self.not_armed(outside, "no calibration round"));
+        }
+        if let Some(why) = self.under_way(outside) {
+            return no(format!("{why}; try again"));
+        }
+        if !matches!(self.phase, Phase::Ready) || self.back.recovery.is_some() || self.mode.parks() {
+            return no("the arm is under way; wait until it rests".to_string());
+        }
+        if let Err(closed) = gates::empty_handed(outside) {
+            return no(format!("{}; {}", self.place(&closed), closed.hint()));
+        }
+        self.waiting_since = now;
+        self.round = Some(Round { order, at: 0 });
+        None
+    }
+
+    /// That a round begins, and what the arm does.
+    pub(crate) fn calibrating(&self) -> String {
+        let poses = self.round.as_ref().map_or(0, |round| round.order.poses.len());
+        format!(
+            "the arm goes slowly to {poses} poses and takes a picture at each; then the cell is disarmed; \
+             `celld abort` stops it now"
+        )
     }
 
     /// What keeps the cell from being armed for a round, and what to do about it.

@@ -3,15 +3,12 @@
 //! In: moves in the table frame, the camera's lens and pose. Out: the picture with them. Whoever approves a
 //! plan compares it with what lies there, and not with a list of numbers.
 
-use super::{HINT, Overlay, arrow, draw_outline, path, raster};
+use super::{Overlay, arrow, draw_outline, path, raster};
 use crate::camera::CameraModel;
 use crate::cv::CvError;
 use cell_values::image::Image;
 use nalgebra::Isometry3;
 use rearrange::geometry::pose::Pose2;
-
-/// Orange: where something is on its way.
-pub const MOVE: [u8; 3] = [255, 120, 0];
 
 /// A move of a plan.
 #[derive(Clone, Debug)]
@@ -26,10 +23,12 @@ pub struct DrawnMove {
     pub height_m: f64,
     /// Its outline in its own frame, m; closed by itself.
     pub outline: Vec<[f64; 2]>,
+    /// The object's own, as in every other picture of it.
+    pub colour: [u8; 3],
 }
 
-/// Draws for each move the outline where the object goes (yellow) and an arrow from where it lies, with the
-/// number of the move.
+/// Draws for each move the outline where the object goes and an arrow from where it lies, with the number of
+/// the move, all of them in the object's colour.
 ///
 /// # Errors
 /// What OpenCV reports; what the camera does not see is left out.
@@ -44,7 +43,7 @@ pub fn draw_moves(
         pose: step.to,
         height_m: step.height_m,
         outline: step.outline.clone(),
-        colour: HINT,
+        colour: step.colour,
     };
     for step in moves {
         draw_outline(image, &outline_of(step), camera, table_from_camera)?;
@@ -57,10 +56,10 @@ pub fn draw_moves(
                 .map(|found| found.first().copied())
         };
         let (Some(from), Some(to)) = (at(step.from)?, at(step.to)?) else { continue };
-        arrow(image, from, to, MOVE);
+        arrow(image, from, to, step.colour);
         // Nearer to its beginning: where several arrows end, their numbers stay apart.
         let along = |k: usize| from[k] + 0.3 * (to[k] - from[k]);
-        raster::text(image, [along(0), along(1)], &step.number.to_string(), MOVE, 3);
+        raster::text(image, [along(0), along(1)], &step.number.to_string(), step.colour, 3);
     }
     Ok(())
 }
@@ -81,6 +80,7 @@ mod tests {
             to: Pose2::new(0.06, 0.0, 0.0),
             height_m: 0.02,
             outline: vec![[-0.02, -0.02], [0.02, -0.02], [0.02, 0.02], [-0.02, 0.02]],
+            colour: [40, 120, 190],
         };
         let mut image = Image::filled(640, 480, [0; 3]);
         draw_moves(&mut image, std::slice::from_ref(&step), &lens, &table_from_camera).unwrap();
@@ -88,8 +88,8 @@ mod tests {
             let [u, v] = project(&lens, &(table_from_camera.inverse() * Point3::new(x, y, 0.02)));
             image.pixel(u.round() as u32, v.round() as u32)
         };
-        assert_eq!(colour(0.01, 0.0), Some(MOVE), "the arrow passes there");
-        assert_eq!(colour(0.08, 0.01), Some(HINT), "the outline at its end");
+        assert_eq!(colour(0.01, 0.0), Some(step.colour), "the arrow passes there");
+        assert_eq!(colour(0.08, 0.01), Some(step.colour), "the outline at its end");
         assert_eq!(colour(-0.08, 0.01), Some([0; 3]), "and none where it begins");
         // What is behind the camera or far outside breaks nothing.
         let outside = DrawnMove { from: Pose2::new(1e6, f64::NAN, 0.0), ..step };

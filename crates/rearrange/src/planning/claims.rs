@@ -37,7 +37,10 @@ pub fn examine(problem: &Problem, file: &PlanFile, actions: &[Action]) -> Examin
 
 fn false_claim(problem: &Problem, file: &PlanFile, actions: &[Action]) -> Option<String> {
     if file.moves != Some(actions.len()) {
-        return Some(format!("`moves` says {:?}, the plan has {}", file.moves, actions.len()));
+        return Some(match file.moves {
+            Some(claimed) => format!("`moves` says {claimed}, the plan has {}", actions.len()),
+            None => format!("`moves` is not given, the plan has {}", actions.len()),
+        });
     }
     let cost = match file.objective {
         Objective::Pp => actions.len() as f64,
@@ -46,7 +49,10 @@ fn false_claim(problem: &Problem, file: &PlanFile, actions: &[Action]) -> Option
         Objective::Time => return None,
     };
     if !file.cost.is_some_and(|claimed| same(claimed, cost)) {
-        return Some(format!("`cost` says {:?}, the plan costs {cost}", file.cost));
+        return Some(match file.cost {
+            Some(claimed) => format!("`cost` says {claimed}, the plan costs {cost}"),
+            None => format!("`cost` is not given, the plan costs {cost}"),
+        });
     }
     if file.status == Status::Optimal && !same(cost, file.lower_bound) {
         return Some(format!(

@@ -75,7 +75,8 @@ fn without_a_sight_of_the_table_there_is_no_preview() {
     all.extend(bench.ticks(50));
     assert_eq!(plans(&all), 0);
     assert!(!bench.cell.status().awaits_approval);
-    let refused = answer(&bench.feed(order(Order::Approve("j".into())))).expect("an answer");
+    let refused =
+        answer(&bench.feed(order(Order::Approve { id: "j".into(), plan: None }))).expect("an answer");
     assert!(!refused.accepted, "{refused:?}");
 }
 
@@ -98,7 +99,7 @@ fn approved_then_armed(approval: Approval, at: Pose2) -> (Bench, Vec<Action>) {
     bench.job_with(approval);
     bench.ticks(2);
     bench.plan();
-    let reply = answer(&bench.feed(order(Order::Approve("j".into())))).expect("an answer");
+    let reply = answer(&bench.feed(order(Order::Approve { id: "j".into(), plan: None }))).expect("an answer");
     assert!(reply.accepted && reply.message.contains("nothing moves before `celld arm`"), "{reply:?}");
     assert!(!bench.cell.status().awaits_approval);
     bench.at = at;
@@ -192,4 +193,23 @@ fn a_rule_that_the_table_cannot_follow_ends_the_job_with_its_reason() {
     assert_eq!(end_of(GoalRule::Region { members, polygon: polygon.clone() }), "no_arrangement");
     let members = Members::Group("nuts".into());
     assert_eq!(end_of(GoalRule::Region { members, polygon }), "no_arrangement");
+}
+
+#[test]
+fn a_plan_that_needs_approval_waits_for_it() {
+    let mut bench = Bench::new();
+    bench.job(true);
+    bench.until_planning();
+    let mut waiting = bench.plan();
+    waiting.extend(bench.ticks(500));
+    assert_eq!(streams(&waiting), 0);
+    let number = waiting.iter().find_map(|action| match action {
+        Action::Commit { record: Record::Planned(note), .. } => Some(note.number),
+        _ => None,
+    });
+    let another = number.map(|number| number + 1);
+    let refused = bench.feed(order(Order::Approve { id: "j".into(), plan: another }));
+    assert!(answer(&refused).is_some_and(|reply| reply.message.contains("has changed")), "{refused:?}");
+    assert_eq!(streams(&bench.ticks(500)), 0, "what a person saw is not what waits");
+    assert_eq!(streams(&bench.feed(order(Order::Approve { id: "j".into(), plan: number }))), 1);
 }

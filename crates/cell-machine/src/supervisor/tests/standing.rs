@@ -6,8 +6,8 @@ use crate::code::Code;
 use crate::device::gripper_types::GripperEvent;
 use crate::device::robot_types::ProgramEnd;
 use crate::orders::WayBack;
+use crate::supervisor::free_place::Searched;
 use crate::supervisor::model::{CutOff, HeldBefore};
-use crate::supervisor::round::{RoundFault, RoundOrder};
 use cell_motion::pick_n_place::tool_down;
 use rearrange::geometry::collision::penetration;
 
@@ -15,7 +15,7 @@ fn vents(actions: &[Action]) -> bool {
     actions.iter().any(|action| matches!(action, Action::Gripper(GripperCommand::Release { .. })))
 }
 
-fn moving_arm(bench: &mut Bench) {
+pub(super) fn moving_arm(bench: &mut Bench) {
     bench.robot.qd = [0.4, 0.0, 0.0, 0.0, 0.0, 0.0];
 }
 
@@ -306,43 +306,6 @@ fn a_way_on_which_the_arm_has_not_set_out_is_withdrawn_when_the_cell_is_disarmed
 }
 
 #[test]
-fn a_calibration_round_ends_with_its_cell_disarmed_and_takes_no_pace() {
-    let mut bench = Bench::new();
-    let target = Joints([-1.5, -1.6, 1.9, -1.9, -1.57, 0.0]);
-    bench.feed(Input::Round(Box::new(RoundOrder { poses: vec![target], room: None })));
-    assert_eq!(streams(&bench.ticks(20)), 1);
-    for wanted in [Order::Pause, Order::Step, Order::Park] {
-        let reply = answer(&bench.feed(order(wanted))).expect("an answer");
-        assert!(!reply.accepted && reply.message.contains("`celld abort` ends it"), "{reply:?}");
-    }
-    let disarmed = bench.feed(order(Order::Disarm));
-    assert!(disarmed.iter().any(|a| matches!(a, Action::RoundOver(Err(_)))), "{disarmed:?}");
-    assert!(disarmed.iter().any(|a| matches!(a, Action::Robot(RobotCommand::Stop))), "{disarmed:?}");
-    assert_eq!(answer(&disarmed), None);
-}
-
-#[test]
-fn no_calibration_round_begins_where_an_operator_could_not_arm() {
-    let round = || Input::Round(Box::new(RoundOrder { poses: vec![HOME], room: None }));
-    let over = |actions: &[Action]| {
-        let mut ends = actions.iter().filter_map(|action| match action {
-            Action::RoundOver(result) => Some(result.clone()),
-            _ => None,
-        });
-        ends.next()
-    };
-    let mut bench = working();
-    moving_arm(&mut bench);
-    bench.feed(order(Order::Abort));
-    let refused = bench.feed(round());
-    assert!(matches!(over(&refused), Some(Err(RoundFault::Robot(_)))), "{refused:?}");
-    assert!(!bench.cell.mode().armed());
-    bench.feed(Input::Shutdown);
-    let ending = bench.feed(round());
-    assert!(matches!(over(&ending), Some(Err(RoundFault::Robot(_)))), "{ending:?}");
-}
-
-#[test]
 fn celld_ends_after_the_gripper_has_confirmed_a_release_and_not_never() {
     for confirmed in [true, false] {
         let mut bench = working();
@@ -459,8 +422,19 @@ fn where_an_object_was_that_is_not_seen_now_nothing_is_put_down() {
         bench.vacuum = [0.6, 0.0];
         bench.ticks(3);
         assert_eq!(bench.cell.status().held.as_deref(), Some("holds a"));
-        let placed = bench.cell.place_for_held(&HOME, there, &Observation::default());
-        let (place, meant, _) = placed.expect("there is room");
+        let seen = Observation::default();
+        let mut search = bench.cell.places_for_held(there, &seen).expect("something is held");
+        let tried = |ms: u64| match bench.cell.try_place(
+            Timestamp::ZERO + Duration::from_millis(ms),
+            &HOME,
+            &seen,
+            &mut search,
+        ) {
+            Searched::Found(place, meant, _) => Some((place, meant)),
+            Searched::NotYet => None,
+            Searched::Nowhere(why) => panic!("there is room: {why}"),
+        };
+        let (place, meant) = (0..20).find_map(tried).expect("there is room");
         assert_eq!(meant, free, "{place:?}");
         let meets = penetration(&object().footprint, &place, &object().footprint, &there) > 0.0;
         assert_eq!(meets, free, "{place:?}");

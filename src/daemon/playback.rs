@@ -1,13 +1,16 @@
 //! A recording made a page: where everything was at any time of the run.
 //!
-//! In: the messages of a recording as they are replayed, and the machine that the replay has by then. Out:
-//! the [`RecordedRun`] that `report::replay_page` draws. An object that is carried is where the tool takes
-//! it; one that was put down stays there until it is seen again.
+//! In: the messages of a recording as they are replayed, and the machine that the replay has by then; or
+//! the files of a job. Out: the [`RecordedRun`] that `report::replay_page` draws, or the page. An object
+//! that is carried is where the tool takes it; one that was put down stays there until it is seen again.
 
-use crate::io::recording::read::Entry;
+use crate::daemon::recorder::piece_of;
+use crate::io::recording::read::{Entry, Item, Items};
+use crate::io::recording::{ABOUT, log_time_at};
 use crate::report::colour;
 use crate::report::replay_page::{
     RecordedMove, RecordedObject, RecordedRun, RecordedSentence, RecordedState, data_address, drawn,
+    replay_page,
 };
 use cell_machine::event::{Effect, Event, News};
 use cell_machine::machine::Machine;
@@ -15,6 +18,7 @@ use cell_machine::supervisor::model::CellModel;
 use cell_machine::supervisor::order::RouteAction;
 use cell_machine::supervisor::status::{Doing, Status, WorkStep};
 use cell_motion::bodies::Bodies;
+use cell_replay::{Kind, Replay, effect_of, event_of};
 use cell_values::time::{Duration, Timestamp};
 use cell_values::units::{Joints, mm_from_m};
 use cell_vision::observe::Observation;
@@ -22,9 +26,12 @@ use foxglove::Decode;
 use foxglove::messages::CompressedImage;
 use nalgebra::{Isometry3, Point3};
 use rearrange::geometry::pose::Pose2;
+use std::fs::File;
+use std::io::BufReader;
+use std::path::PathBuf;
 
 /// Where pictures are in a recording.
-pub(super) const PICTURES: &str = "/camera/image";
+pub const PICTURES: &str = "/camera/image";
 
 /// How often the arm is drawn, in the cell's time.
 const ARM_EVERY: Duration = Duration::from_millis(100);
@@ -37,7 +44,7 @@ const CURVE_CORNERS: usize = 32;
 
 /// See the module.
 #[derive(Default)]
-pub(super) struct Page {
+pub struct Playback {
     run: RecordedRun,
     /// The cell's time at which the run begins.
     began: Option<Timestamp>,
@@ -48,16 +55,17 @@ pub(super) struct Page {
     carried: Option<(usize, Pose2)>,
 }
 
-impl Page {
-    pub fn new(title: String, epoch_unix_s: f64) -> Page {
-        Page {
+impl Playback {
+    /// With a title, and where the cell's time 0 was, s since 1970.
+    pub fn new(title: String, epoch_unix_s: f64) -> Playback {
+        Playback {
             run: RecordedRun { title, began_unix_s: epoch_unix_s, ..RecordedRun::default() },
-            ..Page::default()
+            ..Playback::default()
         }
     }
 
     /// The same where the cell's time 0 was then, s since 1970; before anything is taken.
-    pub fn since(mut self, epoch_unix_s: f64) -> Page {
+    pub fn since(mut self, epoch_unix_s: f64) -> Playback {
         self.run.began_unix_s = epoch_unix_s;
         self
     }
@@ -76,15 +84,35 @@ impl Page {
         (at.since(began).as_secs_f64() * 1e3).round() / 1e3
     }
 
+    /// One message that `replay` has taken in, which began at `epoch_unix_s`.
+    pub fn take(&mut self, entry: &Entry, replay: &Replay, epoch_unix_s: f64) {
+        match piece_of(&entry.channel.topic) {
+            Some(Kind::Event) => {
+                if let Some((at, event)) = event_of(&entry.data) {
+                    self.event(at, &event, replay.machine());
+                }
+            }
+            Some(Kind::Effect) => {
+                if let Some(effect) = effect_of(&entry.data) {
+                    self.effect(replay.so_far().until, &effect);
+                }
+            }
+            None if entry.channel.topic == PICTURES => {
+                self.picture(log_time_at(epoch_unix_s, entry.log_time), entry);
+            }
+            Some(Kind::Machine) | None => {}
+        }
+    }
+
     /// A picture, as it was recorded.
-    pub fn picture(&mut self, at: Timestamp, entry: &Entry) {
+    fn picture(&mut self, at: Timestamp, entry: &Entry) {
         let Ok(picture) = CompressedImage::decode(entry.data.as_slice()) else { return };
         let at = self.seconds(at);
         self.run.pictures.push((at, data_address(&picture.data)));
     }
 
     /// What the machine has taken in, and what it is now.
-    pub fn event(&mut self, at: Timestamp, event: &Event, machine: Option<&Machine>) {
+    fn event(&mut self, at: Timestamp, event: &Event, machine: Option<&Machine>) {
         let seconds = self.seconds(at);
         let model = machine.and_then(|machine| machine.supervisor()).map(|supervisor| supervisor.model());
         if let (true, Some(model)) = (self.run.objects.is_empty(), model) {
@@ -104,7 +132,7 @@ impl Page {
     }
 
     /// What the machine has decided.
-    pub fn effect(&mut self, at: Timestamp, effect: &Effect) {
+    fn effect(&mut self, at: Timestamp, effect: &Effect) {
         let seconds = self.seconds(at);
         let Effect::Notify(news) = effect else { return };
         match news {
@@ -216,6 +244,51 @@ impl Page {
         self.carried = Some((index, hangs));
         object.at.push((at, drawn(&tool.compose(&hangs))));
     }
+}
+
+/// The recordings of one job on a page, one after the other.
+///
+/// # Errors
+/// A file that is no recording, or none of them holds decisions.
+pub fn page_of(title: String, files: &[PathBuf]) -> Result<String, String> {
+    let mut page = Playback::new(title, 0.0);
+    let (mut epoch, mut decided) = (None, false);
+    for path in files {
+        let located = |what: String| format!("{}: {what}", path.display());
+        let file = File::open(path).map_err(|error| located(error.to_string()))?;
+        let mut replay = Replay::default();
+        for item in Items::new(BufReader::new(file)) {
+            match item {
+                Ok(Item::About(metadata)) if metadata.name == ABOUT => {
+                    let text = metadata.metadata.get("epoch_unix_s");
+                    let found: f64 = text.and_then(|text| text.parse().ok()).unwrap_or(0.0);
+                    if epoch.is_none() {
+                        page = page.since(found);
+                    }
+                    epoch.get_or_insert(found);
+                }
+                Ok(Item::About(_)) => {}
+                Ok(Item::Message(entry)) => {
+                    let kind = piece_of(&entry.channel.topic);
+                    let taken = kind.map_or(Ok(None), |kind| replay.take(kind, &entry.data));
+                    // What this celld would decide otherwise is not what was: the page ends there.
+                    if taken.map_err(|error| located(error.to_string()))?.is_some() {
+                        break;
+                    }
+                    page.take(&entry, &replay, epoch.unwrap_or(0.0));
+                }
+                // Its writer is at work on it, or was killed: what is there is shown.
+                Err(_) => break,
+            }
+        }
+        decided |= replay.machine().is_some();
+    }
+    if !decided {
+        return Err(
+            "the recording holds no decisions; `recording: {decisions: true}` records them".to_string()
+        );
+    }
+    replay_page(&page.finish()).map_err(|error| error.to_string())
 }
 
 /// Of the frames 0 to 6 and the flange, in the base frame, m.

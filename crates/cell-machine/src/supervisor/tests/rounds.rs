@@ -1,0 +1,89 @@
+//! Calibration rounds: what begins them, and how their cell is left.
+
+use super::faults::working;
+use super::standing::moving_arm;
+use super::*;
+use crate::supervisor::round::RoundFault;
+
+#[test]
+fn a_calibration_round_ends_with_its_cell_disarmed_and_takes_no_pace() {
+    let mut bench = Bench::new();
+    let target = Joints([-1.5, -1.6, 1.9, -1.9, -1.57, 0.0]);
+    bench.feed(Input::Round(Box::new(RoundOrder { poses: vec![target], room: None })));
+    assert_eq!(streams(&bench.ticks(20)), 1);
+    for wanted in [Order::Pause, Order::Step, Order::Park] {
+        let reply = answer(&bench.feed(order(wanted))).expect("an answer");
+        assert!(!reply.accepted && reply.message.contains("`celld abort` ends it"), "{reply:?}");
+    }
+    let disarmed = bench.feed(order(Order::Disarm));
+    assert!(disarmed.iter().any(|a| matches!(a, Action::RoundOver(Err(_)))), "{disarmed:?}");
+    assert!(disarmed.iter().any(|a| matches!(a, Action::Robot(RobotCommand::Stop))), "{disarmed:?}");
+    assert_eq!(answer(&disarmed), None);
+}
+
+/// What a person orders at the page has the gates of any motion, and arms nothing.
+#[test]
+fn a_calibration_round_is_ordered_in_an_armed_cell_that_rests() {
+    let target = Joints([-1.5, -1.6, 1.9, -1.9, -1.57, 0.0]);
+    let with_round = || {
+        let mut bench = Bench::new();
+        let round = RoundOrder { poses: vec![target], room: None };
+        bench.cell = Supervisor::new(CellModel { round, ..model() }, 7);
+        bench
+    };
+    let calibrate = |bench: &mut Bench| bench.feed(order(Order::Calibrate));
+    let mut bench = Bench::new();
+    bench.feed(order(Order::Arm));
+    let none = answer(&calibrate(&mut bench)).expect("an answer");
+    assert!(!none.accepted && none.message.contains("calibration_poses_deg"), "{none:?}");
+
+    let mut bench = with_round();
+    let refused = calibrate(&mut bench);
+    assert!(answer(&refused).is_some_and(|reply| !reply.accepted && reply.message.contains("`celld arm`")));
+    bench.ticks(20);
+    assert!(bench.cell.round.is_none() && !bench.cell.mode().armed(), "it arms nothing");
+
+    bench.feed(order(Order::Arm));
+    bench.vacuum = [0.5, 0.0];
+    let held = answer(&calibrate(&mut bench)).expect("an answer");
+    assert!(!held.accepted && bench.cell.round.is_none(), "{held:?}");
+
+    let mut bench = with_round();
+    bench.feed(order(Order::Arm));
+    bench.ticks(20);
+    let begun = calibrate(&mut bench);
+    let reply = answer(&begun).expect("an answer");
+    assert!(reply.accepted && reply.message.contains("1 poses"), "{reply:?}");
+    let after = bench.ticks(20);
+    assert_eq!(streams(&begun) + streams(&after), 1);
+    let again = answer(&calibrate(&mut bench)).expect("an answer");
+    assert!(again.message.contains("already"), "{again:?}");
+
+    let mut bench = with_round();
+    bench.job(false);
+    bench.feed(order(Order::Arm));
+    bench.ticks(20);
+    let busy = answer(&calibrate(&mut bench)).expect("an answer");
+    assert!(!busy.accepted && busy.message.contains("job j is under way"), "{busy:?}");
+}
+
+#[test]
+fn no_calibration_round_begins_where_an_operator_could_not_arm() {
+    let round = || Input::Round(Box::new(RoundOrder { poses: vec![HOME], room: None }));
+    let over = |actions: &[Action]| {
+        let mut ends = actions.iter().filter_map(|action| match action {
+            Action::RoundOver(result) => Some(result.clone()),
+            _ => None,
+        });
+        ends.next()
+    };
+    let mut bench = working();
+    moving_arm(&mut bench);
+    bench.feed(order(Order::Abort));
+    let refused = bench.feed(round());
+    assert!(matches!(over(&refused), Some(Err(RoundFault::Robot(_)))), "{refused:?}");
+    assert!(!bench.cell.mode().armed());
+    bench.feed(Input::Shutdown);
+    let ending = bench.feed(round());
+    assert!(matches!(over(&ending), Some(Err(RoundFault::Robot(_)))), "{ending:?}");
+}

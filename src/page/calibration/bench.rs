@@ -1,0 +1,121 @@
+//! What lies on the bench while a cell is calibrated: pictures of a board, a round, touches, a solution.
+//!
+//! In: pictures and steps. Out: the state of all of it for the page. Nothing is lost by a page that is
+//! closed; all of it ends with celld, but for what was kept.
+
+use crate::config::cell::CellConfig;
+use crate::page::calibration::kept::keep;
+use crate::page::calibration::lens::LensWork;
+use crate::page::calibration::round::{Asked, RoundWork, Solution, solve};
+use crate::page::calibration::touch::TouchWork;
+use crate::page::feed::KnownCell;
+use axum::body::Bytes;
+use cell_calibration::fit::Sample;
+use cell_calibration::taken::Wanted;
+use cell_machine::supervisor::round::RoundFault;
+use cell_values::image::Image;
+use serde_json::{Value, json};
+use std::path::Path;
+
+/// See the module.
+#[derive(Default)]
+pub struct Bench {
+    /// Pictures of a board.
+    pub lens: Option<LensWork>,
+    /// Touches.
+    pub touches: Option<TouchWork>,
+    round: Option<RoundWork>,
+    solved: Option<Result<Solution, String>>,
+    kept: Option<String>,
+}
+
+/// What is wanted of a round.
+pub struct Request<'a> {
+    /// Camera and table, or the table alone.
+    pub wanted: Wanted,
+    /// Samples that are left out, from 1.
+    pub dropped: &'a [usize],
+    /// The table is tied to the touches.
+    pub tie: bool,
+    /// Now, in words.
+    pub date: &'a str,
+}
+
+impl Bench {
+    /// A picture of a round; the first begins a new one.
+    pub fn pictured(&mut self, pose: usize, image: Image, sample: Sample) {
+        if pose == 1 || self.round.is_none() {
+            (self.round, self.solved, self.kept) = (Some(RoundWork::default()), None, None);
+        }
+        if let Some(round) = &mut self.round {
+            round.add(image, sample);
+        }
+    }
+
+    /// The round has ended.
+    pub fn round_over(&mut self, result: Result<(), RoundFault>) {
+        self.round.get_or_insert_default().ended(result);
+    }
+
+    /// Camera and table of the round.
+    pub fn solve(&mut self, config: &CellConfig, known: &KnownCell, request: &Request) {
+        self.kept = None;
+        self.solved = Some(self.solution(config, known, request));
+    }
+
+    fn solution(
+        &self,
+        config: &CellConfig,
+        known: &KnownCell,
+        request: &Request,
+    ) -> Result<Solution, String> {
+        let round = self.round.as_ref().ok_or("no round was taken yet")?;
+        let touches = match &self.touches {
+            Some(work) if request.tie => Some(work.touches()),
+            None if request.tie => return Err("no point was touched yet".to_string()),
+            _ => None,
+        };
+        let date = request.date.to_string();
+        let measured =
+            self.lens.as_ref().and_then(|lens| lens.calibration(&known.lens.model.serial, date.clone()));
+        let lens = measured.unwrap_or_else(|| known.lens.clone());
+        let asked = Asked { wanted: request.wanted, dropped: request.dropped, touches, lens, date };
+        solve(config, known, round, asked)
+    }
+
+    /// Keeps what was solved.
+    ///
+    /// # Errors
+    /// There is nothing, or it could not be written.
+    pub fn keep(&mut self, config: &CellConfig, state: &Path, when: &str) -> Result<(), String> {
+        let solved = self.solved.as_ref().and_then(|solved| solved.as_ref().ok());
+        let solved = solved.ok_or("there is no calibration that could be kept")?;
+        self.kept = Some(keep(&solved.set, &config.calibration, state, when)?);
+        Ok(())
+    }
+
+    /// A picture: `lens-3` or `round-3`.
+    pub fn jpeg(&self, name: &str) -> Option<Bytes> {
+        let (kind, number) = name.split_once('-')?;
+        let number = number.parse().ok()?;
+        match kind {
+            "lens" => self.lens.as_ref()?.jpeg(number),
+            "round" => self.round.as_ref()?.jpeg(number),
+            _ => None,
+        }
+    }
+
+    /// For the page.
+    pub fn view(&self, config: &CellConfig) -> Value {
+        let (solved, fault) = match &self.solved {
+            Some(Ok(solved)) => (Some(&solved.view), None),
+            Some(Err(fault)) => (None, Some(fault)),
+            None => (None, None),
+        };
+        json!({
+            "lens": self.lens.as_ref().map(LensWork::view), "round": self.round.as_ref().map(RoundWork::view),
+            "touches": self.touches.as_ref().map(|touches| touches.view(config)), "solved": solved,
+            "fault": fault, "kept": self.kept,
+        })
+    }
+}
