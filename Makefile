@@ -30,7 +30,7 @@ LIMIT ?= 2
 # `make fuzz`: seconds for each protocol. Coverage comes from options of the stable compiler; naming the
 # target keeps them away from build scripts.
 SECONDS ?= 600
-FUZZ_TARGETS ?= rtde dashboard primary urscript modbus
+FUZZ_TARGETS ?= rtde dashboard primary urscript modbus robotiq tool_serial interpreter robot_api
 FUZZ_FLAGS := -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
               -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
               -Cllvm-args=-sanitizer-coverage-trace-compares --cfg fuzzing
