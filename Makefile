@@ -30,7 +30,7 @@ LIMIT ?= 2
 # `make fuzz`: seconds for each protocol. Coverage comes from options of the stable compiler; naming the
 # target keeps them away from build scripts.
 SECONDS ?= 600
-FUZZ_TARGETS ?= rtde dashboard primary urscript modbus
+FUZZ_TARGETS ?= rtde dashboard primary urscript modbus robotiq tool_serial interpreter robot_api
 FUZZ_FLAGS := -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
               -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
               -Cllvm-args=-sanitizer-coverage-trace-compares --cfg fuzzing
@@ -47,7 +47,8 @@ DEB_PACKAGES := dpkg-dev binutils
 PACKAGES_BUILT := $(BUILD)/packages
 MOST_MEGABYTES := 15
 
-.PHONY: help setup clients demo try test test-clients test-page bench-page book bench figures fuzz fuzz-corpus
+.PHONY: help setup clients demo try test test-clients test-clients-many test-page bench-page book bench figures
+.PHONY: fuzz fuzz-corpus
 .PHONY: release install uninstall deb test-deb sim-static wheel image test-wheel test-image
 
 help:
@@ -57,6 +58,7 @@ help:
 	@echo "make test-page                      the page in a browser (installs Chromium)"
 	@echo "make bench-page                     what viewers of the page cost the loop and the processor (ten minutes)"
 	@echo "make test-clients                   other people's clients against the simulator (installs them), and test-wheel"
+	@echo "make test-clients-many [RUNS=1000]  those scripts again and again, PARALLEL=20 at a time"
 	@echo "make sim-static                     the simulator alone, one file that runs on any Linux"
 	@echo "make wheel, make test-wheel         the same in a Python package with a pytest fixture"
 	@echo "make image, make test-image         the same as an OCI image, without a container engine"
@@ -216,6 +218,15 @@ test-clients: clients test-wheel
 	else \
 	  cargo test --test it -- third_party::; cargo test --lib -- realsense::tests:: --test-threads=1; \
 	fi
+
+# The same scripts RUNS times, PARALLEL at a time, against simulators of the release build.
+RUNS ?= 1000
+PARALLEL ?= 20
+
+test-clients-many: clients
+	@cargo build --release --quiet -p ur-sim --bin celld-sim
+	@$(CLIENTS)/bin/python -B tests/clients/many.py --runs $(RUNS) --parallel $(PARALLEL) --out $(BUILD)/client-runs \
+	  -- $(BUILD)/release/celld-sim
 
 # The page in a real browser: installs Chromium and what drives it, into an environment of its own.
 PAGE := $(BUILD)/page

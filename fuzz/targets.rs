@@ -14,13 +14,18 @@ use nalgebra::Isometry3;
 use ur_sim::controller::builtins::compile_program;
 use ur_sim::controller::program_files::ProgramSource;
 use ur_sim::controller::{Controller, ControllerConfig};
+use ur_sim::robot_api::reply::{Outcome, Request as ApiRequest};
+use ur_sim::robot_api::{answer, reached};
+use ur_sim::robot_server::shared::RobotShared;
 use ur_sim::session::Port;
 use ur_sim::simulator::{Simulator, Transmission};
+use ur_sim::world::drive::{Drive, FingersSpec};
 use ur_sim::world::lock;
 use ur_sim::world::spec::{GripperSpec, WorldSpec};
 use ur_sim::world::vacuum::Channel;
 use ur_wire::dashboard::{Command, LineSplitter, Reply as DashboardReply};
 use ur_wire::modbus;
+use ur_wire::modbus_rtu;
 use ur_wire::primary::Splitter as PrimarySplitter;
 use ur_wire::rtde::{Frame, Reply, Request, Splitter, Version};
 use ur_wire::rtde_values::{Leftover, Recipe};
@@ -30,12 +35,16 @@ use ur_wire::rtde_variables::OUTPUTS;
 pub type Target = fn(&[u8]);
 
 /// Names of the targets and what they do.
-pub const TARGETS: [(&str, Target); 5] = [
+pub const TARGETS: [(&str, Target); 9] = [
     ("rtde", rtde),
     ("dashboard", dashboard),
     ("primary", primary),
     ("urscript", urscript),
     ("modbus", modbus),
+    ("robotiq", robotiq),
+    ("tool_serial", tool_serial),
+    ("interpreter", interpreter),
+    ("robot_api", robot_api),
 ];
 
 /// Most pieces of one input, and frames a program gets.
@@ -53,17 +62,34 @@ fn pieces(data: &[u8]) -> Vec<&[u8]> {
 }
 
 fn simulator() -> Simulator {
+    simulator_with(Drive::Vgc10)
+}
+
+fn simulator_with(drive: Drive) -> Simulator {
     let mut controller = ControllerConfig { running: true, ..ControllerConfig::ur5e(1) };
     let program = "def work():\n while True:\n  sync()\n end\nend\n";
     controller.programs.add("work", ProgramSource::Script(program.to_owned()));
-    let world = WorldSpec::bare(Isometry3::identity(), GripperSpec::one_cup(0.2));
+    let cups = GripperSpec::one_cup(0.2);
+    let cups =
+        if matches!(drive, Drive::Fingers(_)) { GripperSpec { cups: Vec::new(), ..cups } } else { cups };
+    let world = WorldSpec::bare(Isometry3::identity(), GripperSpec { drive, ..cups });
     Simulator::new(controller, world, 1, Vec::new()).expect("a sound cell")
 }
 
 /// Sends to a server of the simulator, `frames` frames after each piece; `received` gets what it sends, in
 /// the pieces in which it sends it. The client then leaves.
-fn talk(port: Port, data: &[u8], frames: usize, mut received: impl FnMut(&[u8])) -> Simulator {
-    let mut simulator = simulator();
+fn talk(port: Port, data: &[u8], frames: usize, received: impl FnMut(&[u8])) -> Simulator {
+    talk_to(simulator(), port, data, frames, received)
+}
+
+/// The same with a simulator that is there already.
+fn talk_to(
+    mut simulator: Simulator,
+    port: Port,
+    data: &[u8],
+    frames: usize,
+    mut received: impl FnMut(&[u8]),
+) -> Simulator {
     let id = simulator.connect(port).expect("the server listens");
     let mut listen = |simulator: &mut Simulator| {
         while let Some(transmission) = simulator.transmit() {
@@ -194,5 +220,100 @@ pub fn modbus(data: &[u8]) {
     let world = lock(&simulator.core().world);
     for channel in Channel::ALL {
         assert!(world.vacuum_reading_per_mille(channel) <= 1000, "more than a vacuum");
+    }
+}
+
+/// Lines to the URCap of a two-finger gripper, with the world's time going on.
+pub fn robotiq(data: &[u8]) {
+    let simulator = simulator_with(Drive::Fingers(FingersSpec::ROBOTIQ_2F85));
+    let simulator = talk_to(simulator, Port::Robotiq, data, 2, |answers| {
+        assert!(answers.is_ascii(), "what we send is a line or an acknowledgement");
+    });
+    let world = lock(&simulator.core().world);
+    let gap = world.finger_gap_m().expect("it has fingers");
+    assert!((0.0..=FingersSpec::ROBOTIQ_2F85.stroke_m + 1e-9).contains(&gap), "fingers {gap} m apart");
+}
+
+/// Frames on the serial line of the tool; the codec alone, then a gripper that has power.
+pub fn tool_serial(data: &[u8]) {
+    let mut line = modbus_rtu::SerialLine::default();
+    for piece in pieces(data) {
+        line.push(piece);
+        while let Some(request) = line.next_request() {
+            let frame = modbus_rtu::answer(&request, request.function().map(|function| function.echo()));
+            let (body, sum) = frame.split_last_chunk::<2>().expect("a checksum");
+            assert_eq!(modbus_rtu::checksum(body).to_le_bytes(), *sum);
+        }
+    }
+    let mut simulator = simulator_with(Drive::Vgc10OnTool);
+    let script =
+        "def on():\n set_tool_voltage(24)\n set_tool_communication(True, 115200, 2, 1, 1.5, 3.5)\nend\n";
+    simulator.core().robot.controller().programs.upload(compile_program(script));
+    (0..3).for_each(|_| simulator.advance());
+    let simulator = talk_to(simulator, Port::ToolSerial, data, 1, |answers| {
+        assert!(answers.len() >= 4, "{answers:?} is no frame");
+    });
+    let world = lock(&simulator.core().world);
+    for channel in Channel::ALL {
+        assert!(world.vacuum_command(channel).1 <= 0.8, "more than the device takes");
+    }
+}
+
+/// Lines to a program that is in interpreter mode, with frames in between.
+pub fn interpreter(data: &[u8]) {
+    let mut simulator = simulator();
+    let script = "def i():\n own = 1\n interpreter_mode()\nend\n";
+    simulator.core().robot.controller().programs.upload(compile_program(script));
+    (0..3).for_each(|_| simulator.advance());
+    let mut simulator = talk_to(simulator, Port::Interpreter, data, 3, |replies| {
+        let text = String::from_utf8_lossy(replies);
+        let known = |line: &str| ["ack: ", "discard: ", "state: "].iter().any(|word| line.starts_with(word));
+        // What a statement quotes may have line ends of its own kind; the first line is ours.
+        assert!(text.lines().next().is_some_and(known), "{text:?}");
+    });
+    (0..FRAMES).for_each(|_| simulator.advance());
+    let controller = simulator.core().robot.controller();
+    assert!(controller.core.mover.q().0.iter().all(|angle| angle.is_finite()), "the arm is nowhere");
+}
+
+/// Requests to the Robot API of the newest software: in each piece the first byte says which, the line
+/// after it goes on with the path, and the rest is the body.
+pub fn robot_api(data: &[u8]) {
+    const REQUESTS: [(&str, &str); 12] = [
+        ("GET", "/openapi.json"),
+        ("PUT", "/robotstate/v1/state"),
+        ("GET", "/robotstate/v1/robotmode"),
+        ("PUT", "/program/v1/loaded"),
+        ("PUT", "/program/v1/state"),
+        ("POST", "/programs/v1/"),
+        ("PUT", "/programs/v1/"),
+        ("GET", "/programs/v1/"),
+        ("POST", "/popup/v1"),
+        ("POST", "/supportfiles/v1"),
+        ("GET", "/supportfiles/v1"),
+        ("PUT", "/operational-mode/v1"),
+    ];
+    let config = ControllerConfig { version: [10, 14, 0, 1], ..ControllerConfig::ur5e(1) };
+    let shared = RobotShared::new(Controller::new(config));
+    for piece in pieces(data) {
+        let Some((which, rest)) = piece.split_first() else { continue };
+        let (method, path) = REQUESTS[usize::from(*which) % REQUESTS.len()];
+        let end = rest.iter().position(|byte| *byte == b'\n').unwrap_or(0);
+        let path = format!("{path}{}", String::from_utf8_lossy(&rest[..end]));
+        let body = rest.get(end + 1..).unwrap_or_default();
+        let content_type = match which / 128 {
+            0 => "application/json",
+            _ => "multipart/form-data; boundary=x",
+        };
+        let reply = match answer(&shared, &ApiRequest { method, path: &path, content_type, body }) {
+            Outcome::Reply(reply) => Some(reply),
+            Outcome::Until(goal) => (0..1000).find_map(|_| {
+                shared.frame(None);
+                reached(&shared, goal)
+            }),
+        };
+        let reply = reply.expect("an action comes to an end");
+        assert!((200..600).contains(&reply.status), "{reply:?}");
+        (0..3).for_each(|_| shared.frame(None));
     }
 }

@@ -234,6 +234,7 @@ pub fn sim_file(instance: &Instance, config: &CellConfig, choice: &DemoChoice) -
         model: ARM_MODELS[0],
         software: SOFTWARE,
         encoders: [0.0; 2],
+        conveyors: Vec::new(),
         start_pose: config.park_pose,
         control: Control::Remote,
         safety: SafetyLimits::default(),

@@ -1,5 +1,6 @@
 """SDU's ur_rtde: the receive, input/output and dashboard interfaces."""
 
+import math
 import tempfile
 import threading
 import time
@@ -8,7 +9,7 @@ import dashboard_client
 import rtde_control
 import rtde_io
 import rtde_receive
-from harness import address, check, finish, near, power_on, wait_until
+from harness import LONG, address, check, finish, near, power_on, wait_until
 
 host = address()
 dashboard = dashboard_client.DashboardClient(host)
@@ -126,18 +127,30 @@ with tempfile.NamedTemporaryFile("r", suffix=".csv") as record:
     wait_until("half a second is recorded", lambda: receive.getTimestamp() > first + 0.5)
     check("stopFileRecording", receive.stopFileRecording())
     rows = record.read().splitlines()
-    check("the recording has a row a cycle", len(rows) > 200, len(rows))
+    # The client writes what it has every 2 ms of its own: on a busy computer it misses some, or has one twice.
+    stamps = [float(row.split(",")[0]) for row in rows[1:]]
+    steps = [b - a for a, b in zip(stamps, stamps[1:])]
+    cycles = [step / 0.002 for step in steps]
+    check("the recording has rows", len(rows) > 20, len(rows))
+    check("each of a cycle, in order", all(c > -1e-3 and abs(c - round(c)) < 1e-3 for c in cycles), cycles)
+    near("and a row a cycle while it keeps up", min(c for c in cycles if c > 0.5), 1, 1e-3)
 # (Not receive.reconnect(): the client's own reading thread crashes in it now and then.)
 
 # Several clients at once, each at its own rate; none disturbs another.
 clients = [rtde_receive.RTDEReceiveInterface(host, rate) for rate in (500.0, 125.0, 50.0, 10.0)]
-seen = [set() for _ in clients]
-end = time.monotonic() + 1.0
+seen = [[] for _ in clients]
+rates = [0.002, 0.008, 0.02, 0.1]
+least = [math.inf for _ in clients]
+began = time.monotonic()
 
 
 def collect(index):
-    while time.monotonic() < end:
-        seen[index].add(clients[index].getTimestamp())
+    # At least a second; longer only when this computer is too busy to see two neighbours.
+    while time.monotonic() < began + (1.0 if least[index] < rates[index] + 1e-6 else LONG):
+        stamp = clients[index].getTimestamp()
+        if not seen[index] or stamp != seen[index][-1]:
+            least[index] = min([least[index]] + [stamp - last for last in seen[index][-1:]])
+            seen[index].append(stamp)
         time.sleep(0.0005)
 
 
@@ -146,8 +159,7 @@ for thread in threads:
     thread.start()
 for thread in threads:
     thread.join()
-steps = [min((b - a for a, b in zip(sorted(s), sorted(s)[1:])), default=0.0) for s in seen]
-near("each gets its own rate", steps, [0.002, 0.008, 0.02, 0.1], 1e-9)
+near("each gets its own rate", least, rates, 1e-9)
 for client in clients:
     client.disconnect()
 

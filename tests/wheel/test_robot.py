@@ -206,3 +206,16 @@ def test_offsets_keep_the_ports_of_robots_apart(robot):
     assert len(offsets) > 100 and max(offsets) + max(own) < 65536
     taken = [port + offset for offset in offsets for port in own]
     assert len(taken) == len(set(taken))
+
+
+def test_programs_are_told_what_they_request(robot):
+    robot.power_on()
+    assert robot.requested() is None
+    script = 'def ask():\n n = request_integer_from_primary_client("How many?")\n write_output_integer_register(3, n)\nend\n'
+    with socket.create_connection((robot.host, robot.ports.primary)) as link:
+        link.sendall(script.encode())
+        assert wait_until(robot.requested) == {"type": "integer", "text": "How many?"}
+        with pytest.raises(celld_sim.FaultRefused, match="wants a integer"):
+            robot.answer("many")
+        robot.answer(7)
+        assert robot.requested() is None

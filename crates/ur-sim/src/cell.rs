@@ -15,7 +15,7 @@ use crate::faults::link::LinkName;
 use crate::faults::{FaultError, Planned};
 use crate::frames::{self, Progress};
 use crate::robot_server::shared::RobotShared;
-use crate::robot_server::{RobotAddresses, RobotPorts};
+use crate::robot_server::{ROBOTIQ_PORT, RobotAddresses, RobotPorts, TOOL_SERIAL_PORT};
 use crate::script_sockets::TcpScriptSockets;
 use crate::serve::{ListenError, Servers, listen};
 use crate::session::Port;
@@ -65,8 +65,9 @@ impl SimConfig {
             0 => Ok(0),
             port => port.checked_add(offset).ok_or(SimError::PortOffset { port, offset }),
         };
-        let RobotPorts { dashboard, robotiq, .. } = self.ports;
-        let highest = RobotPorts::REAL.interpreter.max(dashboard).max(robotiq.unwrap_or(0));
+        let RobotPorts { dashboard, robotiq, tool_serial, .. } = self.ports;
+        let others = [robotiq, tool_serial].map(Option::unwrap_or_default);
+        let highest = RobotPorts::REAL.interpreter.max(dashboard).max(others[0]).max(others[1]);
         let beyond = SimError::PortOffset { port: highest, offset };
         if self.ports != RobotPorts::ANY {
             self.ports = self.ports.moved(offset).ok_or(beyond)?;
@@ -158,7 +159,8 @@ pub async fn start(config: SimConfig) -> Result<RunningSim, SimError> {
         camera: camera.1,
         control: control.as_ref().map(|(_, address)| *address),
     };
-    let sockets = TcpScriptSockets::from_address(config.bind).with_urcap(addresses.robot.robotiq);
+    let own = [(ROBOTIQ_PORT, addresses.robot.robotiq), (TOOL_SERIAL_PORT, addresses.robot.tool_serial)];
+    let sockets = TcpScriptSockets::from_address(config.bind).with_own(own);
     core.robot.controller().core.sockets = Box::new(sockets);
     servers.take(gripper, &core, Port::Gripper, &stopped);
     let mut tasks = JoinSet::new();

@@ -13,15 +13,18 @@ pub mod values;
 
 use crate::camera::{CameraSetup, CameraTiming};
 use crate::cell::{SimConfig, SimError, start};
+use crate::config::conveyors::ConveyorConfig;
 use crate::config::load::load_sim;
 use crate::config::read::read_sim;
 use crate::config::{SimFile, SimHandBoard, SimMount};
 use crate::conformance;
 use crate::controller::config::{ControllerConfig, calibrated};
+use crate::facts;
 use crate::faults::Planned;
 use crate::faults::read::read_faults;
+use crate::motion::belt::TableBelt;
 use crate::render::lens::CameraTruth;
-use crate::robot_server::RobotPorts;
+use crate::robot_server::{RobotPorts, TOOL_SERIAL_PORT};
 use crate::world::drive::Drive;
 use crate::world::spec;
 use crate::world::vacuum::Channel;
@@ -82,6 +85,9 @@ pub struct SimArgs {
     /// Print what of the real machines is real here, modelled or absent, and stop.
     #[arg(long)]
     conformance: bool,
+    /// Measure what is published about the real controller on this one, print both, and stop.
+    #[arg(long)]
+    facts: bool,
 }
 
 /// Simulated seconds per second.
@@ -118,6 +124,10 @@ pub fn run(args: &SimArgs) -> u8 {
     }
     if args.conformance {
         print(&conformance::page());
+        return 0;
+    }
+    if args.facts {
+        print(&facts::page());
         return 0;
     }
     let (mut file, name) = match configuration(args.config.as_deref()) {
@@ -209,6 +219,7 @@ async fn serve(config: SimConfig, port_offset: u16, until_eof: bool) -> u8 {
         "dashboard": dashboard,
         "robot_api": robot_api,
         "robotiq": addresses.robot.robotiq.map(|robotiq| robotiq.to_string()),
+        "tool_serial": addresses.robot.tool_serial.map(|serial| serial.to_string()),
         "primary": addresses.robot.primary.to_string(),
         "secondary": addresses.robot.secondary.to_string(),
         "realtime": addresses.robot.realtime.to_string(),
@@ -294,6 +305,7 @@ fn robot_ports(file: &SimFile, ports: RobotPorts) -> RobotPorts {
         },
         modbus: ports.modbus.or(file.ports.controller_modbus),
         robotiq: ports.robotiq.or(fingers),
+        tool_serial: ports.tool_serial.or((file.drive == Drive::Vgc10OnTool).then_some(TOOL_SERIAL_PORT)),
         ..ports
     }
 }
@@ -303,12 +315,20 @@ fn controller_config(file: &SimFile) -> ControllerConfig {
         start: file.start_pose,
         version: file.software,
         encoders: file.encoders,
+        belts: file.conveyors.iter().map(|conveyor| table_belt(conveyor, &file.encoders)).collect(),
         control: file.control,
         safety: file.safety.clone(),
         programs: file.programs.clone(),
         dh: calibrated(&file.model.dh, file.seed, file.errors.dh_m, file.errors.dh_rad),
         ..ControllerConfig::of(&file.model, file.seed)
     }
+}
+
+/// A belt runs as fast as its encoder counts.
+fn table_belt(conveyor: &ConveyorConfig, encoders: &[f64; 2]) -> TableBelt {
+    let ticks = encoders.get(conveyor.encoder).copied().unwrap_or_default();
+    let (speed, (sin, cos)) = (ticks / conveyor.ticks_per_m, conveyor.direction_rad.sin_cos());
+    TableBelt { area: conveyor.area, velocity: [speed * cos, speed * sin] }
 }
 
 fn world_object(object: &ObjectSpec) -> Option<spec::WorldObject> {

@@ -4,6 +4,7 @@
 //! which `celld sim` builds its world. The nominal values are those the cell's own configuration states; the
 //! `errors` say how far, by seed, the simulated truth deviates from them.
 
+pub mod conveyors;
 pub mod gripper;
 pub mod load;
 pub mod programs;
@@ -11,6 +12,7 @@ pub mod read;
 pub mod safety;
 pub mod software;
 
+use crate::config::conveyors::ConveyorConfig;
 use crate::controller::modes::Control;
 use crate::controller::program_files::ProgramFiles;
 use crate::motion::safety::SafetyLimits;
@@ -61,6 +63,8 @@ pub struct SimFile {
     pub software: [u32; 4],
     /// Ticks a second that come from the wires of the two encoders.
     pub encoders: [f64; 2],
+    /// Belts in the table.
+    pub conveyors: Vec<ConveyorConfig>,
     /// From where the arm is commanded at the start.
     pub control: Control,
     /// Safety configuration of the controller.

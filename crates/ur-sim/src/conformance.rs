@@ -74,8 +74,8 @@ const MOTION: &[Claim] = &[
     Claim(
         "Self-collision, safety planes",
         Grade::Modelled,
-        "a protective stop (C157, C152), not slowed down before; links as capsules, 20 mm of overlap free, no \
-         tool; tool and elbow at planes; numbers assumed",
+        "a protective stop (C157, C152), not slowed down before; links as capsules, 20 mm of overlap free, the \
+         tool a capsule where it is configured; tool and elbow at planes; numbers assumed",
         "an_arm_that_meets_itself_or_a_safety_plane_stops_and_may_go_back",
     ),
     Claim(
@@ -85,7 +85,19 @@ const MOTION: &[Claim] = &[
          stays behind",
         "moves_are_carried_along_by_the_conveyor_until_it_is_left",
     ),
-    Claim("Momentum and power limits", Grade::Absent, "", ""),
+    Claim(
+        "Momentum and power limits",
+        Grade::Modelled,
+        "where they are configured: moves are slowed down to them, other motion stops protectively (C191, \
+         assumed); power is what the tool does to what it touches",
+        "momentum_and_power_slow_moves_down_and_stop_what_cannot_be_slowed",
+    ),
+    Claim(
+        "Path offsets",
+        Grade::Modelled,
+        "in all four frames, filtered and limited; see the built-ins",
+        "a_weaving_offset_is_laid_over_a_move_and_left_at_its_end",
+    ),
     Claim(
         "UR3e, UR5e, UR10e, UR16e and others by their DH table",
         Grade::Real,
@@ -196,8 +208,15 @@ const SERVERS: &[Claim] = &[
     Claim(
         "PolyScope X: requests by version (10.11, 10.12, 10.14)",
         Grade::Modelled,
-        "assumed: the API's own version before 3.1.4; no support files, licences, URCaps",
+        "assumed: the API's own version before 3.1.4, what is in a flight report, the body that sets the \
+         operational mode; no licences, URCaps",
         "each_version_has_its_requests",
+    ),
+    Claim(
+        "Values that programs request from the pendant",
+        Grade::Modelled,
+        "answered at the simulator's control server; assumed: the message to primary clients",
+        "a_program_waits_for_values_of_the_type_it_wants",
     ),
     Claim("PROFINET, EtherNet/IP", Grade::Absent, "", ""),
     Claim(
@@ -246,7 +265,19 @@ const CELL: &[Claim] = &[
         "quasi-static in the plane, friction by a limit surface",
         "a_push_beside_the_middle_turns_the_object",
     ),
-    Claim("Stacking", Grade::Absent, "what is set down on something leans and is told as such", ""),
+    Claim(
+        "Stacking",
+        Grade::Modelled,
+        "an object stands where the middle of its load is over its contacts, for all that it stands on; what \
+         does not stand leans",
+        "a_bridge_stands_on_two_and_a_counterweight_holds_what_hangs_out",
+    ),
+    Claim(
+        "Objects on conveyors",
+        Grade::Modelled,
+        "go along, push what is in their way, slip where it does not give way; a belt is level with the table",
+        "a_post_holds_what_runs_into_it_and_what_stands_on_top_goes_along",
+    ),
     Claim(
         "Robotiq 2F-85, 2F-140: registers over their URCap's socket (63352)",
         Grade::Modelled,
@@ -266,7 +297,13 @@ const CELL: &[Claim] = &[
         "pulls as the VGC10's pumps at full power do",
         "pins_suck_blow_off_and_report_the_part",
     ),
-    Claim("VGC10 over the tool connector, further grippers", Grade::Absent, "", ""),
+    Claim(
+        "VGC10 on the tool's serial line (Modbus RTU through port 54321)",
+        Grade::Modelled,
+        "the Compute Box's registers; assumed: even parity, one stop bit, 1,000,000 or 115,200 baud, silence to \
+         everything else",
+        "the_gripper_answers_on_the_tools_serial_line_and_sucks",
+    ),
     Claim(
         "Colour picture",
         Grade::Modelled,

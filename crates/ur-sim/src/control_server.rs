@@ -1,7 +1,8 @@
 //! The simulator's own control interface: true state and faults, for tests and training.
 //!
 //! In: `GET /world.json`, `GET /timing.json`, `POST /fault` with `{"do": NAME, "args": {...}}`, with a
-//! trigger `at`, or a whole `{"faults": [...]}` as in a fault file. Out: the true state; how late RTDE
+//! trigger `at`, or a whole `{"faults": [...]}` as in a fault file, `GET /request` and `POST /request` with
+//! the value that a program waits for. Out: the true state; what a program has requested; how late RTDE
 //! packages have left the simulator (us after their frame was due), how many were sent and skipped; `{"ok":
 //! true}`, or 400 with `{"error": TEXT}`. Loopback only, and only when requested: the daemon has no client
 //! for it.
@@ -62,6 +63,7 @@ pub async fn serve(
         .route("/world.json", get(state))
         .route("/timing.json", get(timing))
         .route("/fault", post(fault))
+        .route("/request", get(requested).post(answer))
         .layer(DefaultBodyLimit::max(BODY_LIMIT))
         .with_state(Control { world, desk });
     // No fault acts on what makes them.
@@ -98,6 +100,27 @@ async fn fault(State(control): State<Control>, body: Bytes) -> Response {
     let done = read_posted(&text)
         .map_err(|complaints| complaints.to_string())
         .and_then(|plans| control.desk.submit(plans).map_err(|error| error.to_string()));
+    match done {
+        Ok(()) => Json(json!({"ok": true})).into_response(),
+        Err(error) => (StatusCode::BAD_REQUEST, Json(json!({"error": error}))).into_response(),
+    }
+}
+
+/// What the pendant would show.
+async fn requested(State(control): State<Control>) -> Response {
+    let controller = control.desk.robot().controller();
+    let shown = controller.core.requests.shown();
+    Json(
+        json!({"request": shown.map(|request| json!({"type": request.wanted.name(), "text": request.text}))}),
+    )
+    .into_response()
+}
+
+/// A person at the pendant types a value.
+async fn answer(State(control): State<Control>, body: Bytes) -> Response {
+    let done = serde_json::from_slice(&body)
+        .map_err(|error| format!("this is no JSON: {error}"))
+        .and_then(|value| control.desk.robot().controller().core.requests.answer(&value));
     match done {
         Ok(()) => Json(json!({"ok": true})).into_response(),
         Err(error) => (StatusCode::BAD_REQUEST, Json(json!({"error": error}))).into_response(),
@@ -167,6 +190,32 @@ mod tests {
         assert!(reply["error"].as_str().unwrap().contains("\"x\""));
         let (status, _) = exchange(address, "/fault", Some("]")).await;
         assert_eq!(status, 400);
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn a_value_that_a_program_requests_is_posted() {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let world: SharedWorld = Arc::new(Mutex::new(empty_world(5)));
+        let config = ControllerConfig { running: true, ..ControllerConfig::ur5e(1) };
+        let robot = RobotShared::new(Controller::new(config));
+        let desk = Arc::new(FaultInjector::new(robot.clone(), world.clone(), 1.0));
+        tokio::spawn(serve(listener, world, desk, std::future::pending()));
+        let (status, reply) = exchange(address, "/request", None).await;
+        assert_eq!((status, reply), (200, json!({"request": null})));
+        assert_eq!(exchange(address, "/request", Some("3")).await.0, 400, "nothing is requested");
+        let script = "def a():\n n = request_integer_from_primary_client(\"How many?\")\n \
+                      write_output_integer_register(3, n)\nend\n";
+        robot.controller().programs.upload(crate::controller::builtins::compile_program(script));
+        (0..3).for_each(|_| robot.frame(None));
+        let (_, reply) = exchange(address, "/request", None).await;
+        assert_eq!(reply, json!({"request": {"type": "integer", "text": "How many?"}}));
+        for wrong in ["\"many\"", "{"] {
+            assert_eq!(exchange(address, "/request", Some(wrong)).await.0, 400, "{wrong}");
+        }
+        assert_eq!(exchange(address, "/request", Some("3")).await.0, 200);
+        (0..3).for_each(|_| robot.frame(None));
+        assert_eq!(robot.controller().core.registers.output_ints[3], 3);
     }
 
     #[tokio::test]

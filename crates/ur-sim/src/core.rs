@@ -39,7 +39,8 @@ impl fmt::Debug for Core {
 impl Core {
     /// The world has its arm from the beginning. `factor`: simulated seconds per second, for delays of real
     /// sockets.
-    pub fn new(controller: Controller, world: World, factor: f64) -> Core {
+    pub fn new(controller: Controller, mut world: World, factor: f64) -> Core {
+        world.set_conveyors(controller.core.config.belts.clone());
         let robot = RobotShared::new(controller);
         let world: SharedWorld = Arc::new(Mutex::new(world));
         let desk = Arc::new(FaultInjector::new(robot.clone(), world.clone(), factor));

@@ -63,6 +63,14 @@ fn answer(world: &mut World, request: &Adu) -> Result<Vec<u8>, Exception> {
     if request.unit != UNIT || !world.has_compute_box() {
         return Err(Exception::NoTarget);
     }
+    carry_out(world, request)
+}
+
+/// Carries out a request to the device, however it came to it; the data of the answer.
+///
+/// # Errors
+/// The exception to answer with.
+pub fn carry_out(world: &mut World, request: &Adu) -> Result<Vec<u8>, Exception> {
     let function = request.function()?;
     match &function {
         Function::Read { first, count } => return Ok(register_bytes(&read(world, *first, *count)?)),

@@ -20,6 +20,8 @@ pub mod controller;
 
 pub mod core;
 
+pub mod facts;
+
 pub mod faults;
 
 pub mod frames;
@@ -45,6 +47,8 @@ pub mod serve;
 pub mod session;
 
 pub mod simulator;
+
+pub mod tool_serial_server;
 
 pub mod world;
 

@@ -105,7 +105,11 @@ async fn handle(
 
 fn respond(reply: Reply) -> Response {
     let status = StatusCode::from_u16(reply.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
-    let mut response = (status, Json(reply.body)).into_response();
+    let mut response = match reply.file {
+        Some((kind, bytes)) => (status, [(header::CONTENT_TYPE, kind)], bytes).into_response(),
+        None if status == StatusCode::NO_CONTENT => status.into_response(),
+        None => (status, Json(reply.body)).into_response(),
+    };
     if let Some(place) = reply.location
         && let Ok(place) = format!("{BASE}{place}").parse()
     {

@@ -7,7 +7,6 @@
 //! filling memory.
 
 use crate::controller::sockets::{MAX_BUFFER, ScriptSockets, SocketState};
-use crate::robot_server::ROBOTIQ_PORT;
 use cell_edge::priority;
 use socket2::{Domain, Socket as Socket2, Type};
 use std::collections::HashMap;
@@ -31,8 +30,8 @@ pub struct TcpScriptSockets {
     connecting: Arc<AtomicUsize>,
     /// The controller's own address, which peers may look at.
     source: Option<IpAddr>,
-    /// Where the socket of a gripper's URCap is, which scripts look for on the controller itself.
-    urcap: Option<SocketAddr>,
+    /// Servers that scripts look for on the controller itself, by the port there, and where they are.
+    own: Vec<(u16, SocketAddr)>,
 }
 
 impl TcpScriptSockets {
@@ -41,9 +40,10 @@ impl TcpScriptSockets {
         TcpScriptSockets { source: Some(source), ..TcpScriptSockets::default() }
     }
 
-    /// The same, with a gripper's URCap on the controller.
-    pub fn with_urcap(self, urcap: Option<SocketAddr>) -> TcpScriptSockets {
-        TcpScriptSockets { urcap, ..self }
+    /// The same, with servers of URCaps on the controller, by the port there.
+    pub fn with_own<const N: usize>(self, servers: [(u16, Option<SocketAddr>); N]) -> TcpScriptSockets {
+        let own = servers.into_iter().filter_map(|(port, at)| Some((port, at?))).collect();
+        TcpScriptSockets { own, ..self }
     }
 }
 
@@ -67,8 +67,9 @@ impl ScriptSockets for TcpScriptSockets {
         if self.sockets.len() >= MAX_SOCKETS {
             return;
         }
-        let own = self.urcap.filter(|_| port == ROBOTIQ_PORT && matches!(host, "127.0.0.1" | "localhost"));
-        let (host, port) = own.map_or((host.to_owned(), port), |at| (at.ip().to_string(), at.port()));
+        let here = matches!(host, "127.0.0.1" | "localhost");
+        let own = self.own.iter().find(|(known, _)| here && *known == port);
+        let (host, port) = own.map_or((host.to_owned(), port), |(_, at)| (at.ip().to_string(), at.port()));
         let link = connect(&host, port, self.source, &self.connecting).map_or(Link::Closed, Link::Connecting);
         self.sockets.insert(name.to_owned(), Socket { link, received: Vec::new(), unsent: Vec::new() });
     }

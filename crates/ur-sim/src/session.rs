@@ -14,6 +14,7 @@ use crate::robot_server::publisher::Feed;
 use crate::robot_server::script_ports::Port as ScriptPort;
 use crate::robot_server::{dashboard, interpreter, modbus, rtde, script_ports};
 use crate::robotiq_server;
+use crate::tool_serial_server;
 use crate::world::lock;
 use std::sync::Arc;
 
@@ -44,6 +45,8 @@ pub enum Port {
     Gripper,
     /// 63352, the socket of a Robotiq gripper's URCap.
     Robotiq,
+    /// 54321, the serial line of the tool connector.
+    ToolSerial,
 }
 
 impl Port {
@@ -56,7 +59,7 @@ impl Port {
             Port::Interpreter | Port::Modbus => LinkName::Primary,
             Port::Secondary | Port::SecondaryReadOnly => LinkName::Secondary,
             Port::Realtime | Port::RealtimeReadOnly => LinkName::Realtime,
-            Port::Gripper | Port::Robotiq => LinkName::Gripper,
+            Port::Gripper | Port::Robotiq | Port::ToolSerial => LinkName::Gripper,
         }
     }
 
@@ -64,7 +67,8 @@ impl Port {
     /// is an idle one.
     pub fn only_answers(self) -> bool {
         match self {
-            Port::Dashboard | Port::Gripper | Port::Robotiq | Port::Interpreter | Port::Modbus => true,
+            Port::Dashboard | Port::Interpreter | Port::Modbus => true,
+            Port::Gripper | Port::Robotiq | Port::ToolSerial => true,
             Port::Rtde | Port::Primary | Port::Secondary | Port::Realtime => false,
             Port::PrimaryReadOnly | Port::SecondaryReadOnly | Port::RealtimeReadOnly => false,
         }
@@ -85,6 +89,7 @@ impl Port {
             Port::Modbus => "controller's Modbus server",
             Port::Gripper => "gripper",
             Port::Robotiq => "Robotiq URCap",
+            Port::ToolSerial => "tool's serial line",
         }
     }
 }
@@ -117,6 +122,7 @@ enum Kind {
     Modbus(modbus::Session),
     Gripper(gripper_server::Session),
     Robotiq(robotiq_server::Session),
+    ToolSerial(tool_serial_server::Session),
 }
 
 /// One connection.
@@ -155,6 +161,9 @@ impl Session {
             Port::Modbus => (Kind::Modbus(modbus::Session::default()), Line::open(None).1),
             Port::Gripper => (Kind::Gripper(gripper_server::Session::default()), Line::open(None).1),
             Port::Robotiq => (Kind::Robotiq(robotiq_server::Session::default()), Line::open(None).1),
+            Port::ToolSerial => {
+                (Kind::ToolSerial(tool_serial_server::Session::default()), Line::open(None).1)
+            }
         };
         (Session { port, kind }, inlet)
     }
@@ -184,6 +193,10 @@ impl Session {
                     .receive(&mut lock(&core.world), &faults, bytes)
                     .map(|answers| Outcome::one(answers, false))
             }
+            Kind::ToolSerial(session) => {
+                let faults = robot.links.get(self.port.link()).state();
+                Ok(Outcome::one(session.receive(core, &faults, bytes), false))
+            }
             Kind::Robotiq(session) => session
                 .receive(&mut lock(&core.world), bytes)
                 .map(|answers| Outcome::one(answers.into_bytes(), false)),
@@ -212,7 +225,7 @@ impl Session {
             Kind::Rtde(session) => session.id(),
             Kind::Script(session) => session.id(),
             Kind::Dashboard(_) | Kind::Interpreter(_) | Kind::Modbus(_) => return true,
-            Kind::Gripper(_) | Kind::Robotiq(_) => return true,
+            Kind::Gripper(_) | Kind::Robotiq(_) | Kind::ToolSerial(_) => return true,
         };
         core.robot.publisher().is_open(id)
     }
@@ -223,7 +236,7 @@ impl Session {
             Kind::Rtde(session) => session.close(&core.robot),
             Kind::Script(session) => session.close(&core.robot),
             Kind::Dashboard(_) | Kind::Interpreter(_) | Kind::Modbus(_) => {}
-            Kind::Gripper(_) | Kind::Robotiq(_) => {}
+            Kind::Gripper(_) | Kind::Robotiq(_) | Kind::ToolSerial(_) => {}
         }
     }
 }

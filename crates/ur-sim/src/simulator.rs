@@ -96,6 +96,7 @@ impl Simulator {
         let absent = match port {
             Port::Dashboard => without_dashboard,
             Port::Robotiq => !lock(&self.core.world).has_fingers(),
+            Port::ToolSerial => !lock(&self.core.world).is_on_tool_line(),
             _ => false,
         };
         if absent || self.link(port.link()).down {

@@ -1,4 +1,4 @@
-//! Sans-IO codecs: RTDE, dashboard and primary interface of the UR controller, Modbus TCP as a server. Bytes
+//! Sans-IO codecs: RTDE, dashboard and primary interface of the UR controller, Modbus as a server. Bytes
 //! and numbers only.
 //!
 //! In: bytes from either end of a link. Out: typed packages, and bytes again. Each codec serves both ends:
@@ -32,6 +32,8 @@ pub mod primary_masterboard;
 pub mod primary_tool;
 
 pub mod modbus;
+
+pub mod modbus_rtu;
 
 /// The example of the README, run by `cargo test --doc`.
 #[cfg(doctest)]

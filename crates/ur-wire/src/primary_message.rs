@@ -103,6 +103,16 @@ pub enum MessageBody {
         /// Text.
         text: String,
     },
+    /// Type 9: a program waits for a value. As published for the popups that request one; not checked
+    /// against a controller.
+    RequestValue {
+        /// Number of the request.
+        request: u32,
+        /// Type of the value: 0 boolean, 1 integer, 2 float, 3 text.
+        value_type: u32,
+        /// What the program says.
+        text: String,
+    },
     /// Type 10: the program failed; line and column count from 1 within the text that was sent.
     RuntimeException {
         /// Line.
@@ -145,6 +155,9 @@ impl Message {
             }
             MessageBody::Key { code, argument, title, text } => {
                 out.u8(7).i32(*code).i32(*argument).short_text(title).bytes(text.as_bytes())
+            }
+            MessageBody::RequestValue { request, value_type, text } => {
+                out.u8(9).u32(*request).u32(*value_type).bytes(text.as_bytes())
             }
             MessageBody::RuntimeException { line, column, text } => {
                 out.u8(10).i32(*line).i32(*column).bytes(text.as_bytes())
@@ -207,6 +220,11 @@ impl MessageBody {
                 code: reader.i32("message code")?,
                 argument: reader.i32("message argument")?,
                 title: reader.short_text("message title")?,
+                text: reader.rest_text(),
+            },
+            9 => MessageBody::RequestValue {
+                request: reader.u32("request id")?,
+                value_type: reader.u32("requested type")?,
                 text: reader.rest_text(),
             },
             10 => MessageBody::RuntimeException {
@@ -273,6 +291,8 @@ mod tests {
         check(key, "070000000000000000015470");
         let exception = MessageBody::RuntimeException { line: 3, column: 5, text: "x".into() };
         check(exception, "0a000000030000000578");
-        check(MessageBody::Other { kind: 9, payload: vec![1] }, "0901");
+        let request = MessageBody::RequestValue { request: 2, value_type: 3, text: "w".into() };
+        check(request, "09000000020000000377");
+        check(MessageBody::Other { kind: 8, payload: vec![1] }, "0801");
     }
 }

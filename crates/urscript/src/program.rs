@@ -134,6 +134,14 @@ impl Program {
         self.statements.waiting.clear();
     }
 
+    /// Ends the threads that statements have started, and those that these have.
+    pub fn end_started(&mut self, host: &mut dyn Host) {
+        let Some(statements) = self.statements.thread else { return };
+        let by_statements = |scheduled: &&Scheduled| scheduled.thread.parent == Some(statements);
+        let started: Vec<ThreadId> = self.threads.iter().filter(by_statements).map(|s| s.thread.id).collect();
+        started.into_iter().for_each(|id| self.kill(id, host));
+    }
+
     /// Empties the variables that `base`, the program without statements, does not have. True if the program
     /// is `base` again: nothing that statements have declared runs or waits.
     pub fn forget_statements(&mut self, base: &Arc<Code>) -> bool {

@@ -18,12 +18,14 @@ _RANDOM = random.SystemRandom()
 class Ports:
     """Port numbers of one robot; without an offset the controller's own.
 
-    PolyScope X has `robot_api` (HTTP) in place of `dashboard`. `robotiq` is there with such a gripper.
+    PolyScope X has `robot_api` (HTTP) in place of `dashboard`. `robotiq` is there with such a gripper,
+    `tool_serial` with one on the tool's serial line.
     """
 
     dashboard: Optional[int]
     robot_api: Optional[int]
     robotiq: Optional[int]
+    tool_serial: Optional[int]
     primary: int
     secondary: int
     realtime: int
@@ -50,6 +52,7 @@ def ports_of(ready: Mapping[str, Any]) -> Ports:
         dashboard=_if_any(ready["dashboard"]),
         robot_api=_if_any(ready["robot_api"]),
         robotiq=_if_any(ready["robotiq"]),
+        tool_serial=_if_any(ready["tool_serial"]),
         primary=_port(ready["primary"]),
         secondary=_port(ready["secondary"]),
         realtime=_port(ready["realtime"]),

@@ -29,7 +29,7 @@ def exchange(
     """Status and JSON of a request: a GET, or a POST where there is a body, unless `method` says otherwise."""
     connection = http.client.HTTPConnection(host, port, timeout=timeout_s)
     try:
-        if body is None:
+        if body is None and method != "POST":
             connection.request(method or "GET", path)
         else:
             headers = {"Content-Type": "application/json"}

@@ -222,6 +222,17 @@ class Robot:
         else:
             self.fault("clear", fault=name)
 
+    def requested(self) -> Optional[Dict[str, str]]:
+        """What a program waits for (`request_integer_from_primary_client`): `{"type": ..., "text": ...}`; None if
+        nothing."""
+        request: Optional[Dict[str, str]] = self._get("/request")["request"]
+        return request
+
+    def answer(self, value: Any) -> None:
+        """Types the value that a program waits for at the pendant. Raises FaultRefused when none does, or one of
+        another type."""
+        self._post(value, "/request")
+
     def _at(self) -> Tuple[str, Ports]:
         if self._where is None or self._process is None:
             raise SimulatorError("the robot does not run: use it within `with celld_sim.Robot() as robot:`")
@@ -236,9 +247,9 @@ class Robot:
             raise SimulatorError(f"{path}: {status}: {answer}")
         return answer
 
-    def _post(self, order: Mapping[str, Any]) -> None:
+    def _post(self, order: Any, path: str = "/fault") -> None:
         host, ports = self._at()
-        status, answer = control.exchange(host, ports.control, "/fault", order)
+        status, answer = control.exchange(host, ports.control, path, order, method="POST")
         if status != 200:
             raise FaultRefused(str(answer.get("error", answer) if isinstance(answer, dict) else answer))
 

@@ -250,6 +250,7 @@ impl PrimarySession {
             | MessageBody::SafetyMode { .. }
             | MessageBody::Version { .. }
             | MessageBody::Popup { .. }
+            | MessageBody::RequestValue { .. }
             | MessageBody::Other { .. } => return,
         };
         self.outbox.report(event);

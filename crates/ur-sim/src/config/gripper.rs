@@ -17,6 +17,7 @@ const PINS: [&str; 3] = ["vacuum_on", "blow_off", "part_present"];
 #[derive(Clone, Copy)]
 enum Kind {
     Vgc10,
+    Vgc10OnTool,
     Ejector,
     Fingers(FingersSpec),
 }
@@ -28,6 +29,7 @@ pub fn gripper(decoder: &mut Decoder, at: &At) -> Option<(GripperConfig, Drive)>
     let kind = optional(decoder, &fields, "kind", Kind::Vgc10, |decoder, at| {
         let kinds = [
             ("vgc10", Kind::Vgc10),
+            ("vgc10_tool", Kind::Vgc10OnTool),
             ("ejector", Kind::Ejector),
             ("robotiq_2f85", Kind::Fingers(FingersSpec::ROBOTIQ_2F85)),
             ("robotiq_2f140", Kind::Fingers(FingersSpec::ROBOTIQ_2F140)),
@@ -43,7 +45,11 @@ pub fn gripper(decoder: &mut Decoder, at: &At) -> Option<(GripperConfig, Drive)>
                     decoder.complain_at(&at, format!("{key} is for an ejector"), "add kind: ejector");
                 }
             }
-            Some(if let Kind::Fingers(spec) = kind { Drive::Fingers(spec) } else { Drive::Vgc10 })
+            Some(match kind {
+                Kind::Fingers(spec) => Drive::Fingers(spec),
+                Kind::Vgc10OnTool => Drive::Vgc10OnTool,
+                Kind::Vgc10 | Kind::Ejector => Drive::Vgc10,
+            })
         }
     };
     Some((common?, drive?))
@@ -91,6 +97,7 @@ mod tests {
         let drive = |section: String| read(&section).map(|file| file.drive);
         assert_eq!(drive(format!("{{{BODY}, {CUPS}}}")), Ok(Drive::Vgc10));
         assert_eq!(drive(format!("{{kind: vgc10, {BODY}, {CUPS}}}")), Ok(Drive::Vgc10));
+        assert_eq!(drive(format!("{{kind: vgc10_tool, {BODY}, {CUPS}}}")), Ok(Drive::Vgc10OnTool));
         let fingers = read(&format!("{{kind: robotiq_2f85, {BODY}}}")).unwrap();
         assert_eq!(fingers.drive, Drive::Fingers(FingersSpec::ROBOTIQ_2F85));
         assert!(fingers.gripper.cups.is_empty() && fingers.gripper.mass_kg == 1.0);

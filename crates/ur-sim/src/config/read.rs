@@ -3,6 +3,7 @@
 //! In: the text and its name. Out: the checked configuration of the simulated cell, or every complaint at
 //! once. The deviations of the simulated truth have documented defaults: they are chosen, not measured.
 
+use crate::config::conveyors::conveyors;
 use crate::config::gripper::gripper;
 use crate::config::programs::programs;
 use crate::config::safety::safety;
@@ -43,6 +44,7 @@ pub const SIM_KEYS: &[&str] = &[
     "flange_from_camera",
     "base_from_camera",
     "hand_board",
+    "conveyors",
     "model",
     "controller",
     "start_pose_deg",
@@ -107,14 +109,12 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
     let start_pose = fields.required("start_pose_deg", decoder).and_then(|at| joints_deg(decoder, &at));
     let model = optional(decoder, fields, "model", ARM_MODELS[0], model);
     let controller = optional(decoder, fields, "controller", (SOFTWARE, [0.0; 2]), controller);
-    let control = optional(decoder, fields, "control_mode", Control::Remote, |decoder, at| {
-        decoder.choice(at, CONTROL_MODES)
-    });
+    let control = optional(decoder, fields, "control_mode", Control::Remote, control);
+    let conveyors = optional(decoder, fields, "conveyors", Vec::new(), conveyors);
     let safety = optional(decoder, fields, "safety", SafetyLimits::default(), safety);
     let programs = optional(decoder, fields, "programs", (None, ProgramFiles::default()), programs);
     let errors = optional(decoder, fields, "errors", DEFAULT_ERRORS, errors);
     let (size, (program_folder, programs), (gripper, drive)) = (size?, programs?, gripper?);
-    let (software, encoders) = controller?;
     Some(SimFile {
         bind: bind?,
         ports: ports?,
@@ -132,14 +132,19 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
         reference_markers: markers?,
         model: model?,
         start_pose: start_pose?,
-        software,
-        encoders,
+        software: controller?.0,
+        encoders: controller?.1,
+        conveyors: conveyors?,
         control: control?,
         safety: safety?,
         program_folder,
         programs,
         errors: errors?,
     })
+}
+
+fn control(decoder: &mut Decoder, at: &At) -> Option<Control> {
+    decoder.choice(at, CONTROL_MODES)
 }
 
 fn model(decoder: &mut Decoder, at: &At) -> Option<ArmModel> {

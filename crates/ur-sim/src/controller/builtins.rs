@@ -81,13 +81,15 @@ pub const TABLE: &[Entry] = entries![
     Modelled direct_torque(torque; friction_comp, viscous_scale, coulomb_scale) "rigid bodies with a little \
         friction; the compensation's arguments have no effect";
     Modelled set_pos(q) "places the standing arm";
-    Absent reset_revolution_counter(; qNear) "";
-    Absent path_offset_enable() "";
-    Absent path_offset_disable(; a) "";
-    Absent path_offset_set(offset, type) "";
-    Absent path_offset_get(type) "";
-    Absent path_offset_set_max_offset(transLimit, rotLimit) "";
-    Absent path_offset_set_alpha_filter(alpha) "";
+    Modelled reset_revolution_counter(; qNear) "wrist 3 of a UR3 or UR3e, which has no limit; the other joints have one, \
+        and nothing to reset";
+    Modelled path_offset_enable() "assumed: begins at no offset; an exception while a conveyor is tracked";
+    Real path_offset_disable(; a) "";
+    Modelled path_offset_set(offset, type) "assumed: turns about the tool centre point; the motion frame is the tool's \
+        until the path has moved";
+    Real path_offset_get(type) "";
+    Modelled path_offset_set_max_offset(transLimit, rotLimit) "assumed: each axis is cut off there";
+    Real path_offset_set_alpha_filter(alpha) "";
     Modelled track_conveyor_linear(direction, ticks_per_meter; encoder_index) "while the arm is held the belt \
         leaves it behind";
     Modelled track_conveyor_circular(center, ticks_per_revolution; rotate_tool, encoder_index) "likewise";
@@ -143,10 +145,10 @@ pub const TABLE: &[Entry] = entries![
     Real get_target_joint_accelerations() "";
     Real get_actual_tcp_pose() "";
     Real get_target_tcp_pose() "";
-    Real get_target_tcp_pose_along_path() "without the conveyor; there are no path offsets";
+    Real get_target_tcp_pose_along_path() "without conveyor and path offset";
     Real get_actual_tcp_speed() "";
     Real get_target_tcp_speed() "";
-    Real get_target_tcp_speed_along_path() "there are no path offsets";
+    Real get_target_tcp_speed_along_path() "";
     Real get_target_waypoint() "";
     Real get_actual_tool_flange_pose() "";
     Real get_tcp_offset() "";
@@ -175,7 +177,8 @@ pub const TABLE: &[Entry] = entries![
     Real get_gravity() "";
     Real set_base_acceleration(a) "";
     Real get_base_acceleration() "";
-    Absent estimate_payload(poses, wrenches) "";
+    Modelled estimate_payload(poses, wrenches) "least squares with the sensor's zero; assumed: the active payload is not \
+        added";
     Modelled set_safety_mode_transition_hardness(type) "accepted";
     Modelled high_holding_torque_enable() "accepted";
     Modelled high_holding_torque_disable() "accepted";
@@ -192,12 +195,13 @@ pub const TABLE: &[Entry] = entries![
     Real rtde_set_watchdog(variable_name, min_frequency; action) "";
     Modelled interpreter_mode(; clearQueueOnEnter, clearOnEnd) "in the main thread; up to 2000 statements until clear_interpreter()";
     Modelled end_interpreter() "";
-    Modelled clear_interpreter() "threads that statements have started go on";
+    Modelled clear_interpreter() "";
     Modelled rpc_factory(type, url) "XML-RPC over HTTP; assumed: an exception when there is no answer within 10 s";
-    Absent request_boolean_from_primary_client(message) "";
-    Absent request_integer_from_primary_client(message) "";
-    Absent request_float_from_primary_client(message) "";
-    Absent request_string_from_primary_client(message) "";
+    Modelled request_boolean_from_primary_client(message) "answered at the control server; assumed: the layout of the \
+        message to clients";
+    Modelled request_integer_from_primary_client(message) "likewise";
+    Modelled request_float_from_primary_client(message) "likewise";
+    Modelled request_string_from_primary_client(message) "likewise";
     Absent eip_reader_factory(instance_name, data_size) "";
     Absent eip_writer_factory(instance_name, data_size) "";
     // Registers, inputs and outputs.
@@ -236,7 +240,7 @@ pub const TABLE: &[Entry] = entries![
     Real set_tool_voltage(voltage) "";
     Modelled set_tool_output_mode(mode) "accepted";
     Modelled set_tool_digital_output_mode(n, mode) "accepted";
-    Modelled set_tool_communication(enabled, baud_rate, parity, stop_bits, rx_idle_chars, tx_idle_chars) "checked; no serial line behind it";
+    Modelled set_tool_communication(enabled, baud_rate, parity, stop_bits, rx_idle_chars, tx_idle_chars) "a line for a VGC10 on the tool connector; what is plugged in else is silent";
     Modelled set_input_actions_to_default() "accepted";
     Modelled set_standard_digital_input_action(port, action) "accepted";
     Modelled set_configurable_digital_input_action(port, action) "accepted";
@@ -272,7 +276,8 @@ pub const TABLE: &[Entry] = entries![
     Modelled modbus_set_signal_update_frequency(signal_name, update_frequency) "accepted";
     Modelled modbus_set_runstate_dependent_choice(signal_name, runstate_choice) "accepted";
     Modelled modbus_set_digital_input_action(signal_name, action) "accepted";
-    Absent modbus_send_custom_command(IP, slave_number, function_code, data) "";
+    Modelled modbus_send_custom_command(IP, slave_number, function_code, data) "assumed: waits for the answer, 2 s at most; \
+        the address may name a port";
     // Sockets.
     Real socket_open(address, port; socket_name) "";
     Real socket_close(; socket_name) "";

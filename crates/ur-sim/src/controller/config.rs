@@ -5,6 +5,7 @@
 
 use crate::controller::modes::Control;
 use crate::controller::program_files::ProgramFiles;
+use crate::motion::belt::TableBelt;
 use crate::motion::safety::SafetyLimits;
 use cell_values::units::Joints;
 use rand::{RngExt, SeedableRng};
@@ -50,6 +51,8 @@ pub struct ControllerConfig {
     pub payload: f64,
     /// Ticks a second that come from the wires of the two encoders, negative backwards.
     pub encoders: [f64; 2],
+    /// Belts in the table that these encoders count.
+    pub belts: Vec<TableBelt>,
     /// Seed of `random()`.
     pub seed: u64,
     /// Programs that `load` finds.
@@ -77,6 +80,7 @@ impl ControllerConfig {
             tcp: [0.0; 6],
             payload: 0.0,
             encoders: [0.0; 2],
+            belts: Vec::new(),
             seed,
             programs: ProgramFiles::default(),
         }

@@ -108,6 +108,7 @@ fn pulses(core: &mut Core, call: &Call<'_>, encoder: usize, first: usize) -> Res
 }
 
 fn linear(core: &mut Core, call: &Call<'_>) -> Result<Value, String> {
+    without_offset(core, call)?;
     let direction = call.required(0)?.array::<6>()?;
     let direction = Vector3::new(direction[0], direction[1], direction[2]);
     let direction = Unit::try_new(direction, 1e-9).filter(|unit| unit.iter().all(|axis| axis.is_finite()));
@@ -121,6 +122,7 @@ fn linear(core: &mut Core, call: &Call<'_>) -> Result<Value, String> {
 }
 
 fn circular(core: &mut Core, call: &Call<'_>) -> Result<Value, String> {
+    without_offset(core, call)?;
     let centre = call.required(0)?.array::<6>()?;
     if centre.iter().any(|number| !number.is_finite()) {
         return Err(format!("{}: the centre has numbers that are not finite", call.name));
@@ -133,6 +135,14 @@ fn circular(core: &mut Core, call: &Call<'_>) -> Result<Value, String> {
     let belt = Belt::Round { centre: centre.translation.vector, axis, turns_tool, moved: 0.0 };
     follow(core, belt, encoder, per_tick);
     Ok(Value::Nothing)
+}
+
+/// The manual forbids both at once.
+fn without_offset(core: &Core, call: &Call<'_>) -> Result<(), String> {
+    match core.mover.is_offset() {
+        true => Err(format!("{}: a path offset is enabled", call.name)),
+        false => Ok(()),
+    }
 }
 
 /// Ticks for a metre or a revolution; negative where the encoder counts backwards.
@@ -157,7 +167,7 @@ fn stop(core: &mut Core, call: &Call<'_>) -> Result<Reply, String> {
     }
     if call.frames == 0 && core.conveyor.take().is_some() && core.mover.tracks() {
         core.owner = None;
-        core.mover.stop_tracking(acceleration);
+        core.mover.leave_carrier(acceleration);
         return Ok(Reply::Wait);
     }
     Ok(if core.mover.has_braked() { Reply::Value(Value::Nothing) } else { Reply::Wait })

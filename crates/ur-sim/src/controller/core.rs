@@ -14,6 +14,7 @@ use crate::controller::registers::Registers;
 use crate::controller::sensing::Sensing;
 use crate::controller::settings::Settings;
 use crate::controller::sockets::{NoNetwork, ScriptSockets};
+use crate::controller::value_requests::ValueRequests;
 use crate::controller::watchdog::Watchdog;
 use crate::motion::mover::{MoveId, Mover};
 use crate::motion::{Arm, FRAME_SECONDS};
@@ -81,6 +82,8 @@ pub struct Core {
     pub sockets: Box<dyn ScriptSockets>,
     /// What was chosen at the pendant.
     pub pendant: Pendant,
+    /// What programs have requested from whoever is there.
+    pub requests: ValueRequests,
     messages: VecDeque<MessageBody>,
     tcp_pose: [f64; 6],
     /// Thread and move that have the arm.
@@ -101,6 +104,8 @@ impl Core {
     pub(super) fn new(config: ControllerConfig) -> Core {
         let mut arm = Arm::of(config.arm.joint_speed, config.dh);
         arm.tool_speed = config.safety.tool_speed;
+        // Data sheets: wrist 3 of these turns without end.
+        arm.endless = matches!(config.arm.name, "UR3" | "UR3e").then_some(5);
         let mut core = Core {
             modes: Modes::new(config.running, config.control),
             registers: Registers::default(),
@@ -121,6 +126,7 @@ impl Core {
             settings: Settings::default(),
             sockets: Box::new(NoNetwork),
             pendant: Pendant::default(),
+            requests: ValueRequests::default(),
             messages: VecDeque::new(),
             tcp_pose: [0.0; 6],
             owner: None,

@@ -101,6 +101,12 @@ impl Core {
         (then - now).norm() / STEP_S
     }
 
+    /// Mechanical work that the tool does to what it touches, W.
+    pub fn power(&self) -> f64 {
+        let felt = Vector6::from(self.sensing.contact());
+        (-felt.dot(&self.mover.tcp_speed())).max(0.0)
+    }
+
     /// Mass times place of the centre of mass, base frame, kg m.
     fn mass_moment(&self, q: &Joints) -> Vector3<f64> {
         let (frames, masses) = (link_frames(&self.mover.arm.dh, q), self.masses());

@@ -8,8 +8,9 @@ use crate::controller::modes::STOP_BY_PROGRAM_CODE;
 use crate::controller::registers::Input;
 use crate::controller::watchdog::{Watchdog, WatchdogAction};
 use crate::controller::{
-    conveyor_functions, force_functions, interpreter, io_functions, motion_functions, rpc_functions,
-    setting_functions, socket_functions,
+    conveyor_functions, force_functions, interpreter, io_functions, modbus_command, motion_functions,
+    offset_functions, payload_estimate, request_functions, rpc_functions, setting_functions,
+    socket_functions,
 };
 use crate::motion::FRAMES_PER_SECOND;
 use cell_values::units::Joints;
@@ -30,9 +31,12 @@ impl Host for Core {
         }
         let slow = motion_functions::call(self, &mut call)
             .or_else(|| conveyor_functions::call(self, &call))
+            .or_else(|| offset_functions::call(self, &call))
             .or_else(|| socket_functions::call(self, &mut call))
             .or_else(|| interpreter::call(self, &call))
             .or_else(|| rpc_functions::call(self, &mut call))
+            .or_else(|| request_functions::call(self, &mut call))
+            .or_else(|| modbus_command::call(self, &mut call))
             .or_else(|| (call.name == "popup").then(|| popup(self, &call)));
         if let Some(reply) = slow {
             return reply.map(|reply| match reply {
@@ -60,6 +64,9 @@ impl Host for Core {
     fn abandoned(&mut self, thread: ThreadId, name: &'static str) {
         if motion_functions::MOVES.contains(&name) {
             self.orphaned = true;
+        }
+        if name.ends_with("_from_primary_client") {
+            self.requests.clear();
         }
         if self.owner.is_some_and(|(owner, _)| owner == thread) {
             self.owner = None;
@@ -185,6 +192,7 @@ fn tool(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
             zero_sensor(core);
         }),
         "set_gravity" => finite(call, 0).map(|gravity| core.payload.gravity = gravity),
+        "estimate_payload" => return Some(payload_estimate::estimate(core, call)),
         "get_tcp_offset" => return Some(Ok(Value::Pose(core.tcp_offset))),
         "get_target_payload" => return Some(Ok(Value::Float(core.payload.mass))),
         "get_gravity" => return Some(Ok(Value::numbers(core.payload.gravity))),

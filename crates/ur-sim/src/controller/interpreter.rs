@@ -126,6 +126,7 @@ impl Joined {
         }
         if std::mem::take(&mut core.interpreter.clear) {
             self.cleared = program.statements().0;
+            program.end_started(core);
             let over = program.forget_statements(&self.base);
             self.scope = if over { self.base.clone() } else { Arc::new(forget(&self.scope, &self.base)) };
             self.since_clear = program.statements().1;

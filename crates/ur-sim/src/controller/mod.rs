@@ -32,13 +32,19 @@ pub mod interpreter_mode;
 
 pub mod io_functions;
 
+pub mod modbus_command;
+
 pub mod modbus_map;
 
 pub mod modes;
 
 pub mod motion_functions;
 
+pub mod offset_functions;
+
 pub mod outputs;
+
+pub mod payload_estimate;
 
 pub mod pendant;
 
@@ -49,6 +55,8 @@ pub mod programs;
 pub mod realtime;
 
 pub mod registers;
+
+pub mod request_functions;
 
 pub mod robot_state;
 
@@ -63,6 +71,8 @@ pub mod settings;
 pub mod socket_functions;
 
 pub mod sockets;
+
+pub mod value_requests;
 
 pub mod watchdog;
 
@@ -129,6 +139,7 @@ impl Controller {
         }
         self.core.refresh();
         self.hold_to_safety();
+        self.hold_to_limits();
         let (q, force) = (self.core.mover.q(), self.core.tcp_force());
         self.core.sensing.remember(q, force);
     }
@@ -165,6 +176,20 @@ impl Controller {
                 None => (modes::SAFETY_PLANE_CODE, 0),
             };
             self.stop_with(code, &found.reason);
+        }
+    }
+
+    /// Slows moves down to the momentum and the power that the safety configuration allows; other motion
+    /// that passes them is stopped.
+    fn hold_to_limits(&mut self) {
+        let core = &self.core;
+        if core.mover.stands() {
+            return;
+        }
+        let strain = core.config.safety.strain(|| core.momentum(), || core.power());
+        if self.core.mover.hold_back(strain) {
+            let reason = "momentum or power beyond the safety configuration";
+            self.stop_with((modes::SAFETY_LIMIT_CODE, 0), reason);
         }
     }
 

@@ -22,6 +22,9 @@ pub const PATH_SANITY_CODE: i32 = 204;
 pub const SAFETY_PLANE_CODE: i32 = 152;
 pub const COLLISION_CODE: i32 = 157;
 
+/// Error code of a protective stop because a limit of the safety configuration was passed.
+pub const SAFETY_LIMIT_CODE: i32 = 191;
+
 /// Error code of a protective stop that the program has requested (C209A0).
 pub const STOP_BY_PROGRAM_CODE: i32 = 209;
 

@@ -42,6 +42,8 @@ pub fn takes_the_arm(name: &str) -> bool {
         || others.contains(&name)
         || name.contains("conveyor_tracking")
         || name.starts_with("track_conveyor")
+        || name.starts_with("path_offset")
+        || name == "reset_revolution_counter"
 }
 
 /// What `optimovej` and `optimovel` take as the fastest acceleration: rad/s2 and m/s2.
@@ -215,7 +217,7 @@ fn stop(core: &mut Core, call: &Call<'_>) -> Result<Reply, String> {
     core.orphaned = false;
     core.owner = None;
     if core.mover.stands() && !core.mover.busy() {
-        core.mover.freeze();
+        core.mover.rest();
         return Ok(Reply::Value(Value::Nothing));
     }
     if call.name == "stopj" {

@@ -71,6 +71,8 @@ pub struct Pendant {
     pub freedrive: bool,
     /// Reports that were requested.
     pub flight_reports: u32,
+    /// Reports that can be downloaded: names and texts.
+    pub reports: Vec<(String, String)>,
     role: &'static str,
     version: Option<[u32; 4]>,
     model: Option<String>,
@@ -85,6 +87,7 @@ impl Default for Pendant {
             safety_checksum: SAFETY_CHECKSUM,
             freedrive: false,
             flight_reports: 0,
+            reports: Vec::new(),
             role: ROLES[0],
             version: None,
             model: None,

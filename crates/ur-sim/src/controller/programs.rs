@@ -13,6 +13,7 @@ use crate::controller::interpreter_mode::Interpreter;
 use crate::controller::pendant::LoadError;
 use crate::controller::program_files::{ProgramSource, bare_name};
 use crate::controller::watchdog::WatchdogAction;
+use crate::motion::path_offset::OffsetWish;
 use std::collections::VecDeque;
 use std::sync::Arc;
 use ur_wire::enumerations::RuntimeState;
@@ -385,11 +386,14 @@ fn ended(program: &Program, core: &mut Core) {
     core.orphaned = false;
     core.interpreter = Interpreter::default();
     core.watchdogs.clear();
+    core.requests.clear();
     core.compliance = None;
     core.sockets.close_all();
     core.conveyor = None;
-    if core.mover.tracks() && !core.mover.stands() {
-        core.mover.stop_tracking(DEFAULT_STOP);
+    let away = core.mover.tracks() || core.mover.is_offset();
+    *core.mover.offset() = OffsetWish::default();
+    if away && !core.mover.stands() {
+        core.mover.leave_carrier(DEFAULT_STOP);
     } else if core.mover.stands() {
         // A move that was paused must not go on under the next program.
         core.mover.freeze();

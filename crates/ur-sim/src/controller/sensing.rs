@@ -81,6 +81,11 @@ impl Sensing {
         self.frames.push_front((q, measured));
     }
 
+    /// Joint positions and measured forces of the last seconds, newest first.
+    pub fn past(&self) -> impl Iterator<Item = &(Joints, [f64; 6])> {
+        self.frames.iter()
+    }
+
     /// Joint positions `frames` ago; `None` further back than is remembered.
     pub fn positions(&self, frames: usize) -> Option<Joints> {
         self.frames.get(frames).map(|(q, _)| *q)

@@ -6,7 +6,7 @@
 
 use crate::controller::core::Core;
 use crate::controller::modbus_map;
-use crate::controller::settings::MAX_SIGNALS;
+use crate::controller::settings::{MAX_SIGNALS, ToolLine};
 use urscript::host::Call;
 use urscript::value::Value;
 
@@ -70,7 +70,7 @@ pub fn call(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
             let value = value.map_err(|_| format!("{}: the value has more than 16 bits", call.name))?;
             written(call, at, modbus_map::write(core, at, value))
         }),
-        "set_tool_communication" => tool_communication(call),
+        "set_tool_communication" => tool_communication(core, call),
         "tool_wrench_limit_set" => given(call, 0, Value::pose).map(|_| Value::Nothing),
         "get_base_acceleration" => Ok(Value::numbers(core.settings.base_acceleration)),
         "set_base_acceleration" => given(call, 0, Value::array::<3>).and_then(|acceleration| {
@@ -104,14 +104,15 @@ fn address(call: &Call<'_>) -> Result<u16, String> {
 }
 
 /// The serial line of the tool: its parameters are checked as the manual gives them.
-fn tool_communication(call: &Call<'_>) -> Result<Value, String> {
-    given(call, 0, Value::truth)?;
+fn tool_communication(core: &mut Core, call: &Call<'_>) -> Result<Value, String> {
+    let enabled = given(call, 0, Value::truth)?;
     let (baud, parity) = (given(call, 1, Value::integer)?, given(call, 2, Value::integer)?);
     let stop_bits = given(call, 3, Value::integer)?;
     let (receive, transmit) = (given(call, 4, Value::number)?, given(call, 5, Value::number)?);
     let known = [9600, 19200, 38400, 57600, 115_200, 1_000_000, 2_000_000, 5_000_000].contains(&baud);
     let idle = (1.0..=40.0).contains(&receive) && (0.0..=40.0).contains(&transmit);
     if known && (0..=2).contains(&parity) && (1..=2).contains(&stop_bits) && idle {
+        core.settings.tool_line = enabled.then_some(ToolLine { baud, parity, stop_bits });
         return Ok(Value::Nothing);
     }
     Err("set_tool_communication: a parameter is out of range".to_owned())

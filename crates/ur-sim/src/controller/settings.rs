@@ -11,6 +11,17 @@ pub const FLAGS: usize = 33;
 /// Modbus signals a program may add.
 pub const MAX_SIGNALS: usize = 256;
 
+/// How the serial line of the tool is set.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ToolLine {
+    /// Bits a second.
+    pub baud: i32,
+    /// 0 none, 1 odd, 2 even.
+    pub parity: i32,
+    /// 1 or 2.
+    pub stop_bits: i32,
+}
+
 /// All of it.
 #[derive(Clone, Debug)]
 pub struct Settings {
@@ -20,6 +31,8 @@ pub struct Settings {
     pub port_registers: HashMap<u16, i32>,
     /// Time since the start when it was last requested: ms, s, min, h, days.
     pub split_time: [u16; 5],
+    /// The serial line of the tool; absent: it is not enabled.
+    pub tool_line: Option<ToolLine>,
     /// Values of Modbus signals, by name.
     pub signals: HashMap<String, i32>,
     /// The two encoders.
@@ -36,6 +49,7 @@ impl Default for Settings {
             flags: [false; FLAGS],
             port_registers: HashMap::new(),
             split_time: [0; 5],
+            tool_line: None,
             signals: HashMap::new(),
             encoders: Default::default(),
             conveyor_range: None,

@@ -77,8 +77,8 @@ fn programs_report_their_start_and_end() {
         &["exception 2:7 syntax_error_on_line:2:expected an expression, found `=`"],
     );
     check(
-        "def f():\n  path_offset_enable()\nend\n",
-        &["STARTED:f", "exception 2:3 path_offset_enable is not available in the simulation", "STOPPED:f"],
+        "def f():\n  get_euromap_input(0)\nend\n",
+        &["STARTED:f", "exception 2:3 get_euromap_input is not available in the simulation", "STOPPED:f"],
     );
 }
 
@@ -322,6 +322,55 @@ fn an_arm_that_meets_itself_or_a_safety_plane_stops_and_may_go_back() {
         step_until(&mut controller, stopped);
         assert!(!controller.core.modes.protective_stopped(), "{script}: the way back is free");
     }
+}
+
+#[test]
+fn momentum_and_power_slow_moves_down_and_stop_what_cannot_be_slowed() {
+    let most = |momentum: Option<f64>, script: &str| {
+        let safety = SafetyLimits { momentum, ..SafetyLimits::default() };
+        let config = ControllerConfig { running: true, safety, ..ControllerConfig::ur5e(3) };
+        let mut controller = Controller::new(config);
+        upload(&mut controller, &format!("def m():\n {script}\nend\n"));
+        controller.frame();
+        let mut most = 0.0f64;
+        while !stopped(&controller) && !controller.core.modes.protective_stopped() {
+            controller.frame();
+            most = most.max(controller.core.momentum());
+        }
+        (most, messages(&mut controller))
+    };
+    let swing = "movej([1.5,-1.57,1.57,-1.57,-1.57,0], a=2, v=2)";
+    let (free, _) = most(None, swing);
+    let (held, said) = most(Some(2.0), swing);
+    assert!(free > 4.0, "{free}");
+    assert!((1.95..2.05).contains(&held), "{held} of {free}");
+    assert_eq!(said.last().map(String::as_str), Some("STOPPED:m"), "it arrives");
+    let (_, said) = most(Some(2.0), "speedj([2,0,0,0,0,0], 2, 5)");
+    assert!(said.contains(&"C191".to_owned()), "{said:?}");
+}
+
+#[test]
+fn power_is_what_the_tool_does_to_what_it_pushes_against() {
+    let speed = |power: Option<f64>| {
+        let safety = SafetyLimits { power, ..SafetyLimits::default() };
+        let config = ControllerConfig { running: true, safety, ..ControllerConfig::ur5e(3) };
+        let mut controller = Controller::new(config);
+        let script =
+            "def m():\n movel(pose_add(get_actual_tcp_pose(), p[0,0,-0.2,0,0,0]), a=3, v=0.5)\nend\n";
+        upload(&mut controller, script);
+        // As long as it moves something presses back with 50 N.
+        controller.core.sensing.set_contact_wrench([0.0, 0.0, 50.0, 0.0, 0.0, 0.0]);
+        controller.frame();
+        let mut fastest = 0.0f64;
+        while !stopped(&controller) {
+            controller.frame();
+            fastest = fastest.max(controller.core.mover.tcp_speed().fixed_rows::<3>(0).norm());
+        }
+        fastest
+    };
+    assert!((speed(None) - 0.5).abs() < 1e-3);
+    let slowed = speed(Some(10.0));
+    assert!((slowed - 0.2).abs() < 1e-2, "10 W at 50 N: {slowed} m/s");
 }
 
 #[test]

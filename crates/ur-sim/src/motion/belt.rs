@@ -1,8 +1,7 @@
-//! A conveyor that the arm's motion is carried along by.
+//! A conveyor: one that the arm's motion is carried along by, and where one lies in the table.
 //!
 //! In: how far the belt has moved. Out: where a pose of the programmed path is on it. Pure.
 
-use cell_values::units::Joints;
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 
 /// A belt, and how far it has moved since tracking began.
@@ -28,13 +27,13 @@ pub enum Belt {
     },
 }
 
-/// A belt with an arm on it.
-#[derive(Clone, Debug)]
-pub struct Carried {
-    /// The belt.
-    pub belt: Belt,
-    /// Joint positions on it.
-    pub q: Joints,
+/// A belt level with the table, for the world's objects.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TableBelt {
+    /// Least and greatest x and y in the table frame, m: `[x, y, x, y]`.
+    pub area: [f64; 4],
+    /// Along x and y of the table, m/s.
+    pub velocity: [f64; 2],
 }
 
 impl Belt {

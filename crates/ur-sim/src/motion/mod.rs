@@ -8,9 +8,13 @@
 
 pub mod belt;
 
+pub mod carrier;
+
 pub mod dynamics;
 
 pub mod mover;
+
+pub mod path_offset;
 
 pub mod profile;
 
@@ -30,6 +34,9 @@ pub const FRAME_SECONDS: f64 = 0.002;
 /// Frames per second of simulated time.
 pub const FRAMES_PER_SECOND: u64 = 500;
 
+/// Position that a joint without a range still counts to, rad.
+const MOST_TURNS: f64 = 1000.0 * std::f64::consts::TAU;
+
 /// The arm as its controller knows it.
 #[derive(Clone, Debug)]
 pub struct Arm {
@@ -39,6 +46,8 @@ pub struct Arm {
     pub flange_from_tcp: Isometry3<f64>,
     /// Joint range to either side, rad.
     pub joint_range: f64,
+    /// A joint without a range: wrist 3 of the smallest arms.
+    pub endless: Option<usize>,
     /// Fastest speed of each joint, rad/s.
     pub joint_speed: [f64; 6],
     /// Fastest joint acceleration in servo and stop modes, rad/s2.
@@ -61,6 +70,7 @@ impl Arm {
             dh,
             flange_from_tcp: Isometry3::identity(),
             joint_range: std::f64::consts::TAU,
+            endless: None,
             joint_speed,
             joint_acceleration: 40.0,
             tool_speed: 1.5,
@@ -101,7 +111,10 @@ impl Arm {
 
     /// The joint that is out of range or not a number, if there is one.
     pub fn outside(&self, q: &Joints) -> Option<usize> {
-        q.0.iter().position(|value| value.is_nan() || value.abs() > self.joint_range + 1e-9)
+        q.0.iter().enumerate().position(|(joint, value)| {
+            let most = if self.endless == Some(joint) { MOST_TURNS } else { self.joint_range };
+            value.is_nan() || value.abs() > most + 1e-9
+        })
     }
 }
 

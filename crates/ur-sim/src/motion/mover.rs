@@ -10,8 +10,9 @@
 //! equal acceleration `a` that meet at an angle, acceleration is at most `a` times the difference of the two
 //! unit directions (that of a parabola).
 
-use crate::motion::belt::Carried;
+use crate::motion::carrier::Carried;
 use crate::motion::dynamics::tool_jacobian;
+use crate::motion::path_offset::OffsetWish;
 use crate::motion::segment::Segment;
 use crate::motion::{Arm, FRAME_SECONDS};
 use cell_values::units::Joints;
@@ -91,14 +92,17 @@ pub struct Mover {
     still_frames: u64,
     /// Tool speed set in the last frame of a tool-speed task; measuring it anew each frame would drift.
     tool_speed: Option<Vector6<f64>>,
-    /// Share of the segments' speed that keeps the tool within its limit.
+    /// Share of the segments' speed that keeps the arm within its limits, and that of the last frame.
     limiter: f64,
+    limited: f64,
     /// Tool speed that is added to any motion (force mode, freedrive): m/s and rad/s in the base frame.
     drift: Vector6<f64>,
     /// How far the segments' joint positions have drifted, rad.
     drifted: [f64; 6],
-    /// A conveyor that carries the arm along; `q` is then where its path is.
+    /// What takes the arm away from its path; `q` is then where its path is.
     carried: Option<Carried>,
+    /// What scripts want laid over the path.
+    offset: OffsetWish,
 }
 
 impl Mover {
@@ -120,9 +124,11 @@ impl Mover {
             still_frames: 0,
             tool_speed: None,
             limiter: 1.0,
+            limited: 1.0,
             drift: Vector6::zeros(),
             drifted: [0.0; 6],
             carried: None,
+            offset: OffsetWish::default(),
         }
     }
 
@@ -131,7 +137,7 @@ impl Mover {
         self.carried.as_ref().map_or(self.q, |carried| carried.q)
     }
 
-    /// The TCP in the base frame as it would be without a conveyor.
+    /// The TCP in the base frame as it would be without conveyor and offset.
     pub fn path_tcp(&self) -> Isometry3<f64> {
         self.carried.as_ref().map_or_else(|| self.tcp(), |_| self.arm.tcp(&self.q))
     }

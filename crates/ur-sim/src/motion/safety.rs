@@ -3,8 +3,9 @@
 //!
 //! In: the configured limits, the arm's parameters and joint positions. Out: how deep it is where it must
 //! not be, and why. Links are the capsules of [`ur_arm::bodies`], which overestimate them by some 15 mm
-//! on average: the arm may overlap itself by `TOLERANCE_M`. The tool and what it holds are no bodies
-//! here; planes hold the tool centre point and the elbow. Pure.
+//! on average: the arm may overlap itself by `TOLERANCE_M`. The tool is a capsule from the flange to the
+//! tool centre point where the configuration gives it a radius; what it holds is no body here. Planes hold
+//! the tool centre point, with that radius about it, and the elbow. Pure.
 
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -30,12 +31,19 @@ pub struct SafetyLimits {
     pub planes: Vec<SafetyPlane>,
     /// Fastest tool, m/s; motion is slowed down to it.
     pub tool_speed: f64,
+    /// Most momentum of arm and payload, kg m/s; moves are slowed down to it. Absent: no limit.
+    pub momentum: Option<f64>,
+    /// Most mechanical work that the tool does to what it touches, W; moves are slowed down to it. Absent:
+    /// no limit.
+    pub power: Option<f64>,
+    /// Radius of the tool, m. Absent: it is no body.
+    pub tool_radius: Option<f64>,
 }
 
 impl Default for SafetyLimits {
-    /// As delivered: no planes, 1.5 m/s.
+    /// No planes, 1.5 m/s, and nothing else that slows an arm down.
     fn default() -> SafetyLimits {
-        SafetyLimits { planes: Vec::new(), tool_speed: 1.5 }
+        SafetyLimits { planes: Vec::new(), tool_speed: 1.5, momentum: None, power: None, tool_radius: None }
     }
 }
 
@@ -51,13 +59,21 @@ pub struct Intrusion {
 }
 
 impl SafetyLimits {
-    /// How far `point` (base frame, m) is beyond a plane, and which one; `None` if it is within all.
-    pub fn beyond(&self, point: &Vector3<f64>) -> Option<(usize, f64)> {
+    /// How far a ball about `point` (base frame, m) is beyond a plane, and which one; `None` if it is within
+    /// all.
+    pub fn beyond(&self, point: &Vector3<f64>, radius: f64) -> Option<(usize, f64)> {
         let beyond = self.planes.iter().enumerate().map(|(number, plane)| {
             let inwards = Vector3::from(plane.normal).normalize();
-            (number, -inwards.dot(&(point - Vector3::from(plane.point))))
+            (number, radius - inwards.dot(&(point - Vector3::from(plane.point))))
         });
         beyond.filter(|(_, depth)| *depth > 0.0).max_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// The share of the limits of momentum and power that a motion takes: `momentum` (kg m/s) is that of arm
+    /// and payload, `power` (W) what the tool does to what it touches.
+    pub fn strain(&self, momentum: impl FnOnce() -> f64, power: impl FnOnce() -> f64) -> f64 {
+        let momentum = self.momentum.map_or(0.0, |most| momentum() / most);
+        momentum.max(self.power.map_or(0.0, |most| power() / most))
     }
 
     /// The deepest intrusion of an arm with this tool centre point.
@@ -69,13 +85,41 @@ impl SafetyLimits {
         tcp: &Vector3<f64>,
     ) -> Option<Intrusion> {
         let frames = link_frames(dh, q);
-        let points = [("tool", *tcp), ("elbow", frames[1].translation.vector)];
-        let planes = points.iter().filter_map(|(name, point)| {
-            let (number, depth) = self.beyond(point)?;
+        let about = self.tool_radius.unwrap_or(0.0);
+        let points = [("tool", *tcp, about), ("elbow", frames[1].translation.vector, 0.0)];
+        let planes = points.iter().filter_map(|(name, point, about)| {
+            let (number, depth) = self.beyond(point, *about)?;
             Some(Intrusion { depth, reason: format!("{name} beyond safety plane {number}"), joint: None })
         });
-        planes.chain(with_itself(model, &frames)).max_by(|a, b| a.depth.total_cmp(&b.depth))
+        let tool = self.tool_radius.and_then(|radius| tool_against_arm(model, &frames, tcp, radius));
+        planes.chain(with_itself(model, &frames)).chain(tool).max_by(|a, b| a.depth.total_cmp(&b.depth))
     }
+}
+
+/// Bodies that the tool can meet: it turns with wrist 3, and on the usual arms its way to wrist 1 is barred
+/// by wrist 2.
+const MET_BY_TOOL: std::ops::RangeInclusive<usize> = 0..=3;
+
+/// How deep the tool is in a link.
+fn tool_against_arm(
+    model: &str,
+    frames: &[Isometry3<f64>; 6],
+    tcp: &Vector3<f64>,
+    radius: f64,
+) -> Option<Intrusion> {
+    let bodies = capsules(model)?;
+    let ends = [Point3::from(frames[5].translation.vector), Point3::from(*tcp)];
+    let depths = MET_BY_TOOL.map(|body| {
+        let place = body.checked_sub(1).map_or(Isometry3::identity(), |link| frames[link]);
+        let overlaps = bodies[body].iter().map(|capsule| {
+            let link = [capsule.a, capsule.b].map(|end| place * Point3::from(end));
+            radius + capsule.radius - distance(&ends, &link)
+        });
+        (overlaps.fold(f64::NEG_INFINITY, f64::max) - TOLERANCE_M, body)
+    });
+    let (depth, body) = depths.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(depth, _)| *depth > 0.0)?;
+    // The argument of the message counts joints: the last one moves the tool.
+    Some(Intrusion { depth, reason: format!("tool against {}", BODY_NAMES[body]), joint: Some(5) })
 }
 
 /// The deepest overlap of two links beyond the tolerance.
@@ -159,12 +203,37 @@ mod tests {
     fn planes_hold_tool_and_elbow() {
         let plane = SafetyPlane { point: [0.0, 0.0, 0.1], normal: [0.0, 0.0, 2.0] };
         let limits = SafetyLimits { planes: vec![plane], ..SafetyLimits::default() };
-        assert_eq!(limits.beyond(&Vector3::new(0.3, 0.0, 0.2)), None);
-        let (number, depth) = limits.beyond(&Vector3::new(0.3, 0.0, 0.04)).unwrap();
+        assert_eq!(limits.beyond(&Vector3::new(0.3, 0.0, 0.2), 0.0), None);
+        let (number, depth) = limits.beyond(&Vector3::new(0.3, 0.0, 0.04), 0.0).unwrap();
         assert!(number == 0 && (depth - 0.06).abs() < 1e-12);
+        assert_eq!(limits.beyond(&Vector3::new(0.3, 0.0, 0.14), 0.05).map(|(number, _)| number), Some(0));
         let dh = DhParameters::UR5E;
         let found = limits.intrusion("UR5e", &dh, &Joints([0.0, 0.4, 0.0, 0.0, 0.0, 0.0]), &Vector3::z());
         assert!(found.unwrap().reason.starts_with("elbow beyond safety plane 0"));
+    }
+
+    #[test]
+    fn a_tool_with_a_radius_is_a_body() {
+        // A tool that reaches back to the middle of the forearm.
+        let (dh, q) = (DhParameters::UR5E, Joints([0.0, -1.5, 1.5, -1.5, -1.57, 0.0]));
+        let tcp = (link_frames(&dh, &q)[2] * Point3::new(0.15, 0.0, 0.0066)).coords;
+        let with = |tool_radius| {
+            let limits = SafetyLimits { tool_radius, ..SafetyLimits::default() };
+            limits.intrusion("UR5e", &dh, &q, &tcp)
+        };
+        assert_eq!(with(None), None);
+        let found = with(Some(0.05)).unwrap();
+        assert!(found.reason.starts_with("tool against") && found.joint == Some(5), "{found:?}");
+        let thinner = with(Some(0.04)).unwrap();
+        assert!((found.depth - thinner.depth - 0.01).abs() < 1e-12);
+    }
+
+    #[test]
+    fn strain_is_the_larger_share_of_the_limits() {
+        let none = SafetyLimits::default();
+        assert_eq!(none.strain(|| panic!("not asked for"), || panic!("not asked for")), 0.0);
+        let limits = SafetyLimits { momentum: Some(10.0), power: Some(80.0), ..none };
+        assert_eq!((limits.strain(|| 5.0, || 20.0), limits.strain(|| 5.0, || 80.0)), (0.5, 1.0));
     }
 
     proptest! {

@@ -15,6 +15,8 @@ pub mod reply;
 
 pub mod state;
 
+pub mod support;
+
 use crate::controller::Controller;
 use crate::robot_server::shared::RobotShared;
 use reply::{Goal, Outcome, Reply, Request};
@@ -33,7 +35,7 @@ const MODES: u32 = 12;
 const POPUPS: u32 = 14;
 
 /// Method, path and first minor version of every request.
-const ROUTES: [(&str, &str, u32); 22] = [
+const ROUTES: [(&str, &str, u32); 27] = [
     ("GET", "/openapi.json", FIRST),
     ("PUT", "/robotstate/v1/state", FIRST),
     ("GET", "/robotstate/v1/robotmode", MODES),
@@ -56,6 +58,11 @@ const ROUTES: [(&str, &str, u32); 22] = [
     ("GET", "/system/v1/information", POPUPS),
     ("PUT", "/system/v1/shutdown", POPUPS),
     ("POST", "/system/v1/log", POPUPS),
+    ("GET", "/system/v1/system-time", MODES),
+    ("POST", "/supportfiles/v1", POPUPS),
+    ("GET", "/supportfiles/v1", POPUPS),
+    ("PUT", "/operational-mode/v1", POPUPS),
+    ("DELETE", "/operational-mode/v1", POPUPS),
 ];
 
 /// Before which path programs are named.
@@ -119,6 +126,8 @@ fn query(controller: &Controller, path: &str) -> Reply {
         "/program/v1/state" => program::state(controller),
         "/programs/v1" => programs::list(controller),
         "/versions/v1" => state::versions(controller),
+        "/system/v1/system-time" => state::system_time(controller),
+        "/supportfiles/v1" => support::download(controller),
         _ => state::information(controller),
     }
 }
@@ -127,10 +136,18 @@ fn query(controller: &Controller, path: &str) -> Reply {
 fn command(controller: &mut Controller, path: &str, request: &Request<'_>) -> Reply {
     match (request.method, path) {
         ("PUT", "/program/v1/state") => return program::act(controller, request),
-        ("PUT", "/system/v1/shutdown") => controller.power_off(),
+        ("PUT", "/system/v1/shutdown") => {
+            controller.power_off();
+            return Reply::accepted();
+        }
+        ("POST", "/supportfiles/v1") => return support::generate(controller),
+        (_, "/operational-mode/v1") => return state::set_operational_mode(controller, request),
         ("POST", path) => match request.text(&["message"]) {
             Ok(text) if path == "/popup/v1" => controller.core.popup = Some(text),
-            Ok(text) => tracing::info!(text, "log message of a client of the Robot API"),
+            Ok(text) => {
+                tracing::info!(text, "log message of a client of the Robot API");
+                return Reply::done("Log entry added");
+            }
             Err(refusal) => return refusal,
         },
         (_, "/popup/v1") => controller.core.popup = None,

@@ -1,7 +1,7 @@
 //! What the Robot API takes and gives: a request without its socket, and the reply to it.
 //!
-//! In: method, path below the API's own, type and bytes of the body. Out: a status and JSON, always JSON:
-//! clients parse the body before they look at the status.
+//! In: method, path below the API's own, type and bytes of the body. Out: a status and JSON, but for files
+//! always JSON: clients parse the body before they look at the status.
 
 use serde_json::{Value, json};
 
@@ -42,12 +42,14 @@ pub struct Reply {
     pub body: Value,
     /// Where the client is sent instead, below the API's own path.
     pub location: Option<&'static str>,
+    /// In place of the JSON: its type, and a file.
+    pub file: Option<(&'static str, Vec<u8>)>,
 }
 
 impl Reply {
     /// What was asked for.
     pub fn of(body: Value) -> Reply {
-        Reply { status: 200, body, location: None }
+        Reply { status: 200, body, location: None, file: None }
     }
 
     /// It is done.
@@ -55,14 +57,29 @@ impl Reply {
         Reply::of(json!({ "message": message }))
     }
 
+    /// It will be done; nothing more is said.
+    pub fn accepted() -> Reply {
+        Reply { status: 202, ..Reply::of(json!({ "message": null })) }
+    }
+
+    /// There is nothing to give.
+    pub fn empty() -> Reply {
+        Reply { status: 204, ..Reply::of(Value::Null) }
+    }
+
+    /// A file of a type.
+    pub fn file(kind: &'static str, bytes: Vec<u8>) -> Reply {
+        Reply { file: Some((kind, bytes)), ..Reply::of(Value::Null) }
+    }
+
     /// It is not done: what, and why.
     pub fn refused(status: u16, message: &str, details: &str) -> Reply {
-        Reply { status, body: json!({"message": message, "details": details}), location: None }
+        Reply { status, ..Reply::of(json!({"message": message, "details": details})) }
     }
 
     /// The same request belongs there.
     pub fn elsewhere(location: &'static str) -> Reply {
-        Reply { status: 307, body: json!({"message": "Temporary redirect"}), location: Some(location) }
+        Reply { status: 307, location: Some(location), ..Reply::done("Temporary redirect") }
     }
 }
 

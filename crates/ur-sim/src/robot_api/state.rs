@@ -84,15 +84,41 @@ pub fn control_mode(controller: &Controller) -> Reply {
     mode(if controller.core.modes.remote() { "REMOTE" } else { "LOCAL" })
 }
 
-/// GET `/system/v1/operationalmode`. Remote control needs the automatic mode.
+/// GET `/system/v1/operationalmode`. Remote control needs the automatic mode, unless a client has set the
+/// other.
 pub fn operational_mode(controller: &Controller) -> Reply {
     let automatic = match controller.core.pendant.operational_mode {
-        _ if controller.core.modes.remote() => true,
         OperationalMode::Automatic => true,
-        OperationalMode::None | OperationalMode::Manual => false,
+        OperationalMode::Manual => false,
+        OperationalMode::None => controller.core.modes.remote(),
     };
     mode(if automatic { "AUTOMATIC" } else { "MANUAL" })
 }
+
+/// PUT and DELETE `/operational-mode/v1` (10.14): a client sets the mode, or leaves it to the pendant again.
+/// The vendor's client names the requests and sends none: the body is assumed.
+pub fn set_operational_mode(controller: &mut Controller, request: &Request<'_>) -> Reply {
+    let wanted = match request.method {
+        "DELETE" => OperationalMode::None,
+        _ => match request.text(&["mode"]).map(|name| OperationalMode::from_name(&name)) {
+            Ok(Some(mode)) => mode,
+            Ok(None) => return Reply::refused(422, "Validation error", "mode: MANUAL or AUTOMATIC"),
+            Err(refusal) => return refusal,
+        },
+    };
+    controller.core.pendant.operational_mode = wanted;
+    Reply::done("Operational mode set")
+}
+
+/// GET `/system/v1/system-time`: the controller's, counted from 2026-01-01 as scripts count it. Its form is
+/// assumed.
+pub fn system_time(controller: &Controller) -> Reply {
+    let seconds = EPOCH_S + controller.core.timestamp();
+    Reply::of(json!({"systemTime": (seconds * 1e3).round(), "message": ""}))
+}
+
+/// 2026-01-01 as system time, s.
+const EPOCH_S: f64 = 1_767_225_600.0;
 
 fn mode(word: &str) -> Reply {
     Reply::of(json!({"mode": word, "message": ""}))

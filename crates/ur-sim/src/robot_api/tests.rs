@@ -252,9 +252,53 @@ fn each_version_has_its_requests() {
     assert_eq!(robot14.controller().core.popup, None);
     assert_eq!(word(&robot14, "/versions/v1", "marketingVersion"), "10.14.0");
     assert_eq!(word(&robot14, "/system/v1/information", "robotType"), "UR5e");
+    assert_eq!(
+        reply(&robot14, "POST", "/system/v1/log", r#"{"message": "m"}"#).1["message"],
+        "Log entry added"
+    );
+    assert_eq!(reply(&robot14, "PUT", "/system/v1/shutdown", ""), (202, json!({"message": null})));
+    assert!(reply(&robot12, "GET", "/system/v1/system-time", "").1["systemTime"].as_f64() > Some(1.7e12));
     assert_eq!(version([10, 8, 0, 0]), None);
     assert_eq!(version([5, 26, 0, 0]), None);
     assert_eq!(version([10, 20, 0, 0]), Some("5.0.107"));
+}
+
+#[test]
+fn flight_reports_are_generated_and_downloaded_as_an_archive() {
+    let robot = robot(14);
+    let download = || match call(&robot, "GET", "/supportfiles/v1", "") {
+        Outcome::Reply(reply) => (reply.status, reply.file),
+        Outcome::Until(goal) => panic!("{goal:?}"),
+    };
+    assert_eq!(download(), (204, None), "there is none yet");
+    (0..50).for_each(|_| robot.frame(None));
+    for _ in 0..7 {
+        let (status, body) = reply(&robot, "POST", "/supportfiles/v1", "");
+        assert_eq!((status, &body["message"]), (200, &"Flight report generated successfully.".into()));
+    }
+    let (status, file) = download();
+    let (kind, bytes) = file.unwrap();
+    assert_eq!((status, kind, &bytes[..4]), (200, "application/zip", &b"PK\x03\x04"[..]));
+    let text = String::from_utf8_lossy(&bytes);
+    let names: Vec<_> = (1..=7).filter(|n| text.contains(&format!("flightreport_{n:04}.txt"))).collect();
+    assert_eq!(names, [3, 4, 5, 6, 7], "the oldest have gone");
+    assert!(text.contains("model UR5e") && text.contains("robot mode POWER_OFF"));
+    assert!(text.contains("\n0.002 0.000000 -1.570000"), "where the arm was: {text}");
+    robot.controller().core.modes.set_remote(false);
+    assert_eq!(reply(&robot, "POST", "/supportfiles/v1", "").0, 403);
+    assert_eq!(download().0, 200);
+}
+
+#[test]
+fn the_operational_mode_is_set_and_left_to_the_pendant_again() {
+    let robot = robot(14);
+    let mode = || word(&robot, "/system/v1/operationalmode", "mode");
+    let set = |body: &str| reply(&robot, "PUT", "/operational-mode/v1", body).0;
+    assert_eq!(mode(), "AUTOMATIC");
+    assert_eq!((set(r#"{"mode": "MANUAL"}"#), mode().as_str()), (200, "MANUAL"));
+    assert_eq!((set(r#"{"mode": "NONE"}"#), set("{}"), mode().as_str()), (422, 422, "MANUAL"));
+    assert_eq!(reply(&robot, "DELETE", "/operational-mode/v1", "").0, 200);
+    assert_eq!(mode(), "AUTOMATIC");
 }
 
 #[test]

@@ -49,6 +49,8 @@ pub struct RobotPorts {
     pub modbus: Option<u16>,
     /// The socket of a Robotiq gripper's URCap, which is not started without, nor with other grippers.
     pub robotiq: Option<u16>,
+    /// The serial line of the tool connector, likewise with a gripper there.
+    pub tool_serial: Option<u16>,
 }
 
 /// Port of the Robot API on a real controller.
@@ -56,6 +58,9 @@ pub const ROBOT_API_PORT: u16 = 80;
 
 /// Port of a Robotiq gripper's URCap on a real controller.
 pub const ROBOTIQ_PORT: u16 = 63_352;
+
+/// Port of the forwarder of the tool's serial line on a real controller.
+pub const TOOL_SERIAL_PORT: u16 = 54_321;
 
 impl RobotPorts {
     /// Those of a real controller.
@@ -69,6 +74,7 @@ impl RobotPorts {
         interpreter: 30020,
         modbus: None,
         robotiq: None,
+        tool_serial: None,
     };
     /// Any that are free.
     pub const ANY: RobotPorts = RobotPorts {
@@ -81,6 +87,7 @@ impl RobotPorts {
         interpreter: 0,
         modbus: Some(0),
         robotiq: Some(0),
+        tool_serial: Some(0),
     };
 
     /// All of them higher by `offset`; `None` if there are no such ports.
@@ -97,6 +104,7 @@ impl RobotPorts {
             interpreter: up(self.interpreter)?,
             modbus: self.modbus.map_or(Some(None), |port| up(port).map(Some))?,
             robotiq: self.robotiq.map_or(Some(None), |port| up(port).map(Some))?,
+            tool_serial: self.tool_serial.map_or(Some(None), |port| up(port).map(Some))?,
         })
     }
 }
@@ -122,4 +130,6 @@ pub struct RobotAddresses {
     pub modbus: Option<SocketAddr>,
     /// The socket of a Robotiq gripper's URCap.
     pub robotiq: Option<SocketAddr>,
+    /// The serial line of the tool connector.
+    pub tool_serial: Option<SocketAddr>,
 }

@@ -9,6 +9,7 @@ use ur_wire::enumerations::RuntimeState;
 use ur_wire::primary_message::MessageBody;
 
 mod external_control;
+mod modbus;
 mod xml_rpc;
 
 /// Long enough for a busy machine.

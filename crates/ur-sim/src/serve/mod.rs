@@ -115,9 +115,7 @@ impl Servers {
         for (port, number) in wanted {
             doors.push((port, listen(port.name(), bind, number).await?));
         }
-        let modbus = listen_if(Port::Modbus, bind, ports.modbus).await?;
-        let with_fingers = lock(&core.world).has_fingers();
-        let robotiq = listen_if(Port::Robotiq, bind, ports.robotiq.filter(|_| with_fingers)).await?;
+        let optional = optional_doors(core, bind, ports).await?;
         let mut at = wanted.map(|_| SocketAddr::new(bind, 0));
         for (place, (port, door)) in at.iter_mut().zip(doors) {
             *place = door.1;
@@ -130,7 +128,7 @@ impl Servers {
         } else {
             self.take(front, core, Port::Dashboard, shutdown);
         }
-        let [modbus, robotiq] = [(modbus, Port::Modbus), (robotiq, Port::Robotiq)].map(|(door, port)| {
+        let [modbus, robotiq, tool_serial] = optional.map(|(port, door)| {
             let door = door?;
             let address = door.1;
             self.take(door, core, port, shutdown);
@@ -146,8 +144,28 @@ impl Servers {
             interpreter,
             modbus,
             robotiq,
+            tool_serial,
         })
     }
+}
+
+/// A server that listens.
+type Door = (TcpListener, SocketAddr);
+
+/// The servers that depend on the configuration and on what is on the hand.
+async fn optional_doors(
+    core: &Core,
+    bind: IpAddr,
+    ports: &RobotPorts,
+) -> Result<[(Port, Option<Door>); 3], ListenError> {
+    let (with_fingers, on_tool) = {
+        let world = lock(&core.world);
+        (world.has_fingers(), world.is_on_tool_line())
+    };
+    let modbus = listen_if(Port::Modbus, bind, ports.modbus).await?;
+    let robotiq = listen_if(Port::Robotiq, bind, ports.robotiq.filter(|_| with_fingers)).await?;
+    let serial = listen_if(Port::ToolSerial, bind, ports.tool_serial.filter(|_| on_tool)).await?;
+    Ok([(Port::Modbus, modbus), (Port::Robotiq, robotiq), (Port::ToolSerial, serial)])
 }
 
 /// Becomes true when everything has to end.
@@ -170,11 +188,7 @@ pub async fn listen(
 }
 
 /// The same for a server that may be absent.
-async fn listen_if(
-    port: Port,
-    bind: IpAddr,
-    number: Option<u16>,
-) -> Result<Option<(TcpListener, SocketAddr)>, ListenError> {
+async fn listen_if(port: Port, bind: IpAddr, number: Option<u16>) -> Result<Option<Door>, ListenError> {
     match number {
         Some(number) => Ok(Some(listen(port.name(), bind, number).await?)),
         None => Ok(None),

@@ -1,4 +1,5 @@
-//! What makes the gripper grip: the vacuum pumps of a VGC10, an ejector on digital pins, or two fingers.
+//! What makes the gripper grip: the vacuum pumps of a VGC10 behind a Compute Box or on the tool connector,
+//! an ejector on digital pins, or two fingers.
 //!
 //! Out: plain values; [`crate::world::spec::GripperSpec`] has one. Lengths m, forces N.
 
@@ -8,6 +9,8 @@ pub enum Drive {
     /// Two pumps behind a Compute Box (Modbus).
     #[default]
     Vgc10,
+    /// The same on the serial line of the tool connector.
+    Vgc10OnTool,
     /// Compressed air through an ejector, switched by the controller's pins.
     Ejector(EjectorPins),
     /// Two parallel fingers.

@@ -31,6 +31,11 @@ impl World {
         self.gripper.drive == Drive::Vgc10
     }
 
+    /// The gripper is one on the serial line of the tool connector.
+    pub fn is_on_tool_line(&self) -> bool {
+        self.gripper.drive == Drive::Vgc10OnTool
+    }
+
     /// The gripper has fingers and the socket of their URCap.
     pub fn has_fingers(&self) -> bool {
         self.fingers.is_some()

@@ -119,8 +119,10 @@ impl World {
         let beside = beside.into_iter().map(|(other, _)| other).collect();
         let body = &mut self.bodies[index];
         let seen = tool.table_from_tool.inverse() * body.table_from_object;
+        // What it stands on is its floor; where it leans, the table is.
+        let floor_m = if body.is_stacked() { body.bottom_m() } else { 0.0 };
         // The grip shifts the object: in its own plane, about its own origin.
-        body.state = BodyState::Held { tool_from_object: seen * slip.at_height(0.0), floor_m: 0.0, beside };
+        body.state = BodyState::Held { tool_from_object: seen * slip.at_height(0.0), floor_m, beside };
         let object = body.id.clone();
         self.record(EventKind::Gripped { object });
     }
@@ -135,8 +137,9 @@ impl World {
             body.table_from_object = tool.table_from_tool * tool_from_object;
             let bottom_m = body.bottom_m();
             body.table_from_object.translation.z += (floor_m - bottom_m).max(0.0);
-            if bottom_m > CLEAR_OF_TABLE_M {
+            if bottom_m > floor_m + CLEAR_OF_TABLE_M {
                 self.drop_what_lay_on(index);
+                self.settle_stacks();
             }
         }
     }

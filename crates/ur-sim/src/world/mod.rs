@@ -12,12 +12,13 @@
 //!   its normal, each lip inside the top (and inside `grippable`) and nothing else above it.
 //! - A sealed channel takes hold at 20 % vacuum. The object then moves rigidly with the tool while the
 //!   vacuum carries m (a - g); below that it falls. Resting on something it is let go below 5 %.
-//! - Grip and placing each add a random offset; nothing is ever moved towards a goal.
-//! - A placed object that penetrates others by up to 1 mm shares the push with them; deeper, it stays tilted
-//!   on top.
+//! - Grip and placing each add a random offset; nothing is ever moved towards a goal. - A placed object
+//!   that penetrates others by up to 1 mm shares the push with them; deeper, it stands on top if its middle
+//!   is over what is under it (`stack`), and leans on that if not.
 //! - Pressing into table or objects lifts what is held and is recorded as a contact; the arm itself is not
 //!   stopped here.
 
+mod conveyor;
 pub mod disturb;
 pub mod drive;
 mod ejector;
@@ -31,11 +32,13 @@ pub mod section;
 mod snapshot;
 pub mod spec;
 mod squeeze;
+mod stack;
 mod two_finger;
 pub mod vacuum;
 mod view;
 
 use crate::faults::camera::CameraFaults;
+use crate::motion::belt::TableBelt;
 use crate::render::scene::Cells;
 use crate::world::drive::Drive;
 use crate::world::event::{Contact, Event, EventKind};
@@ -104,6 +107,7 @@ pub struct World {
     sticky: bool,
     /// Things without a marker that are on the table, with their places among the bodies.
     foreign: Vec<(ForeignBody, usize)>,
+    conveyors: Vec<TableBelt>,
     hand_board: Option<Plate>,
     /// Where the flange was lately: time and `base_from_flange`, for exposures that take a while.
     trail: VecDeque<(f64, Isometry3<f64>)>,
@@ -137,7 +141,7 @@ pub struct Body {
 /// What holds an object up.
 #[derive(Clone, Debug, PartialEq)]
 pub enum BodyState {
-    /// It lies on the table; tilted on the objects listed, if any.
+    /// It lies on the table; on the objects listed, if any: flat on top of them, or leaning.
     Resting {
         /// Objects under it.
         on: Vec<usize>,
@@ -195,9 +199,9 @@ impl Body {
         matches!(self.state, BodyState::Held { .. })
     }
 
-    /// True when it lies on other objects instead of flat on the table.
+    /// True when it leans on other objects instead of lying flat.
     pub fn is_tilted(&self) -> bool {
-        matches!(&self.state, BodyState::Resting { on } if !on.is_empty())
+        matches!(&self.state, BodyState::Resting { on } if !on.is_empty()) && !self.is_stacked()
     }
 
     /// True when it left the table.
@@ -258,7 +262,7 @@ impl World {
                 .collect(),
             fingers: match spec.gripper.drive {
                 Drive::Fingers(fingers) => Some(Fingers::new(fingers)),
-                Drive::Vgc10 | Drive::Ejector(_) => None,
+                Drive::Vgc10 | Drive::Vgc10OnTool | Drive::Ejector(_) => None,
             },
             gripper: spec.gripper,
             bodies,
@@ -278,6 +282,7 @@ impl World {
             camera: CameraFaults::default(),
             sticky: false,
             foreign: Vec::new(),
+            conveyors: Vec::new(),
             hand_board: spec.hand_board.as_ref().map(Plate::new).transpose()?,
             trail: VecDeque::new(),
         })
@@ -292,6 +297,7 @@ impl World {
         }
         self.trail.push_back((now_s, *base_from_flange));
         self.track_tool(dt_s, base_from_flange);
+        self.run_conveyors(dt_s);
         self.push_aside();
         if self.steps.is_multiple_of(5) {
             self.feel_contacts();

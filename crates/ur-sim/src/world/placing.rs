@@ -18,6 +18,8 @@ use rearrange::geometry::pose::Pose2;
 const SET_DOWN_M: f64 = 3e-3;
 /// Overlap that counts as touching, m.
 pub(super) const TOUCH_M: f64 = 1e-6;
+/// Objects above each other by less than this are beside each other, m.
+const LEVEL_M: f64 = 1e-4;
 /// Rounds of pushing; a tight cluster keeps what is left then.
 const PUSH_ROUNDS: usize = 40;
 /// Range of the tilt of an object that lies on others, rad.
@@ -71,14 +73,33 @@ impl World {
 
     /// Puts the object flat at `pose` and settles it with its neighbours.
     pub(super) fn put_down(&mut self, index: usize, pose: Pose2) {
+        self.come_down(index, pose);
+        self.settle_stacks();
+    }
+
+    /// The same, and what stood on it is left where it is.
+    pub(super) fn come_down(&mut self, index: usize, pose: Pose2) {
         let body = &mut self.bodies[index];
         body.table_from_object = pose.at_height(0.0);
         body.state = BodyState::Resting { on: Vec::new() };
         self.fall_off(index);
         if self.bodies[index].is_resting() {
-            let blocked = self.overlapping(index, YIELD_M);
-            if blocked.is_empty() { self.push_apart(index) } else { self.tilt(index, &blocked) }
+            let blocked = self.under(index, &pose);
+            let under: Vec<usize> = blocked.iter().map(|(other, _)| *other).collect();
+            if blocked.is_empty() {
+                self.push_apart(index);
+            } else if !self.stand_on(index, &pose, &under) {
+                self.tilt(index, &blocked);
+            }
         }
+    }
+
+    /// Resting objects on which one would come down at `pose`, whatever their height, with how they overlap;
+    /// those that stand on it do not count.
+    fn under(&self, index: usize, pose: &Pose2) -> Vec<(usize, Overlap)> {
+        let mut found = self.outlines_meeting(index, pose, YIELD_M);
+        found.retain(|(other, _)| !self.bodies[*other].supports().contains(&index));
+        found
     }
 
     /// True when the point is over the board.
@@ -109,6 +130,17 @@ impl World {
         pose: &Pose2,
         more_than_m: f64,
     ) -> Vec<(usize, Overlap)> {
+        let (bottom_m, top_m) = (self.bodies[index].bottom_m(), self.bodies[index].top_m());
+        let mut found = self.outlines_meeting(index, pose, more_than_m);
+        found.retain(|(other, _)| {
+            let other = &self.bodies[*other];
+            other.bottom_m() < top_m - LEVEL_M && bottom_m < other.top_m() - LEVEL_M
+        });
+        found
+    }
+
+    /// Resting objects whose outlines penetrate this one's at `pose`, whatever their height.
+    fn outlines_meeting(&self, index: usize, pose: &Pose2, more_than_m: f64) -> Vec<(usize, Overlap)> {
         let body = &self.bodies[index];
         let others = self.bodies.iter().enumerate().filter(|(other, b)| *other != index && b.is_resting());
         others
@@ -175,7 +207,7 @@ impl World {
         };
         let pose = self.bodies[index].pose();
         let away = Vector3::new(overlap.away[0], overlap.away[1], 0.0);
-        let step_m = self.bodies[under].height_m;
+        let step_m = self.bodies[under].top_m();
         let section = self.bodies[index].section.clone();
         let local = pose.theta.sin_cos();
         let towards = [-(local.1 * away.x + local.0 * away.y), -(local.1 * away.y - local.0 * away.x)];

@@ -12,7 +12,7 @@ use crate::world::event::EventKind;
 use crate::world::placing::TOUCH_M;
 use crate::world::section::Section;
 use crate::world::squeeze::{finger, seen_from_above};
-use crate::world::{BodyState, World};
+use crate::world::{Body, BodyState, World};
 use cell_values::units::GRAVITY;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use rearrange::geometry::pose::Pose2;
@@ -28,7 +28,7 @@ const ROUNDS: usize = 8;
 const MAX_CHAIN: usize = 32;
 
 /// Something of the arm that can push: its outline, where it is, how far down it reaches.
-struct Pusher {
+pub(super) struct Pusher {
     name: String,
     section: Arc<Section>,
     pose: Pose2,
@@ -37,13 +37,31 @@ struct Pusher {
     spares: Vec<usize>,
 }
 
+impl Pusher {
+    /// An object that is moved by something else than the arm.
+    pub(super) fn object(index: usize, body: &Body) -> Pusher {
+        Pusher {
+            name: body.id.clone(),
+            section: body.section.clone(),
+            pose: body.pose(),
+            bottom_m: body.bottom_m(),
+            spares: vec![index],
+        }
+    }
+}
+
 impl World {
     /// Moves what the tool has run into from the side, and notes what it touches from above.
     pub(super) fn push_aside(&mut self) {
         let mut pushing = Vector3::zeros();
         let mut from_above = Vec::new();
+        // What stands on others goes with them before it is looked at itself.
+        let mut order: Vec<usize> = (0..self.bodies.len()).collect();
+        if self.bodies.iter().any(Body::is_stacked) {
+            order.sort_by(|a, b| self.bodies[*a].bottom_m().total_cmp(&self.bodies[*b].bottom_m()));
+        }
         for pusher in self.pushers() {
-            for index in 0..self.bodies.len() {
+            for index in order.iter().copied() {
                 let Some(depth_m) = self.met(&pusher, index) else { continue };
                 let over_m = self.bodies[index].top_m() - pusher.bottom_m;
                 let touch = (pusher.name.clone(), index);
@@ -135,7 +153,7 @@ impl World {
 
     /// Pushes an object and what it meets; the force that takes. `None`, and nothing moved, if something
     /// does not give way.
-    fn push(&mut self, pusher: &Pusher, index: usize) -> Option<Vector3<f64>> {
+    pub(super) fn push(&mut self, pusher: &Pusher, index: usize) -> Option<Vector3<f64>> {
         let before: Vec<Isometry3<f64>> = self.bodies.iter().map(|body| body.table_from_object).collect();
         let direction = self.slide(&pusher.section, &pusher.pose, index);
         let mut moved = vec![index];
@@ -168,7 +186,9 @@ impl World {
             }
             return None;
         }
-        let weight_n: f64 = moved.iter().map(|index| self.bodies[*index].mass_kg * GRAVITY).sum();
+        self.carry_along(&before);
+        let weight = |index: &usize| (self.bodies[*index].mass_kg + self.carried_kg(*index)) * GRAVITY;
+        let weight_n: f64 = moved.iter().map(weight).sum();
         for index in moved {
             let by_m = (self.bodies[index].table_from_object.translation.vector
                 - before[index].translation.vector)
@@ -176,6 +196,7 @@ impl World {
             self.note_push(index, &pusher.name, by_m);
             self.fall_off(index);
         }
+        self.settle_stacks();
         direction.map(|direction| direction * FRICTION * weight_n)
     }
 

@@ -204,6 +204,28 @@ impl Section {
         (!inside.is_empty()).then(|| [sum[0] / count, sum[1] / count])
     }
 
+    /// Corners of its convex parts on the table.
+    pub fn corners(&self, pose: &Pose2) -> Vec<[f64; 2]> {
+        self.parts.iter().flat_map(|part| placed(part, pose)).collect()
+    }
+
+    /// Corners of what is common to two sections, whose hull is that of the area in which they touch when
+    /// one stands on the other. Empty when they are apart.
+    pub fn common(
+        first: &Section,
+        first_pose: &Pose2,
+        second: &Section,
+        second_pose: &Pose2,
+    ) -> Vec<[f64; 2]> {
+        let second_parts: Vec<_> = second.parts.iter().map(|part| placed(part, second_pose)).collect();
+        let mut corners = Vec::new();
+        for part in &first.parts {
+            let part = placed(part, first_pose);
+            second_parts.iter().for_each(|other| corners.extend(clipped(part.clone(), other)));
+        }
+        corners
+    }
+
     /// Overlap of `first` and `second` at their poses on the table, `None` when they are apart or touch.
     pub fn overlap(
         first: &Section,
@@ -236,6 +258,37 @@ impl Section {
 fn placed(part: &[[f64; 2]], pose: &Pose2) -> Vec<[f64; 2]> {
     let (sin, cos) = pose.theta.sin_cos();
     part.iter().map(|p| [pose.x + cos * p[0] - sin * p[1], pose.y + sin * p[0] + cos * p[1]]).collect()
+}
+
+/// The part of a convex polygon that lies in another, both counter-clockwise.
+fn clipped(mut polygon: Vec<[f64; 2]>, by: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    for (a, b) in edges(by) {
+        let side = |p: [f64; 2]| (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]);
+        let mut kept = Vec::with_capacity(polygon.len() + 1);
+        for (p, q) in edges(&polygon) {
+            let (at_p, at_q) = (side(p), side(q));
+            if at_p >= 0.0 {
+                kept.push(p);
+            }
+            if at_p * at_q < 0.0 {
+                let share = at_p / (at_p - at_q);
+                kept.push([p[0] + share * (q[0] - p[0]), p[1] + share * (q[1] - p[1])]);
+            }
+        }
+        polygon = kept;
+    }
+    polygon
+}
+
+/// True when `p` is in the convex hull of the points: then no line through it has all of them on one side.
+pub fn within_hull(points: &[[f64; 2]], p: [f64; 2]) -> bool {
+    let around = |q: &[f64; 2]| (q[1] - p[1]).atan2(q[0] - p[0]);
+    let mut angles: Vec<f64> = points.iter().map(around).collect();
+    angles.sort_by(f64::total_cmp);
+    let Some((first, last)) = angles.first().zip(angles.last()) else { return false };
+    let over_the_end = first + std::f64::consts::TAU - last;
+    let widest = angles.windows(2).map(|pair| pair[1] - pair[0]).fold(over_the_end, f64::max);
+    widest <= std::f64::consts::PI
 }
 
 /// Separating-axis test of two convex counter-clockwise polygons.
@@ -308,6 +361,19 @@ mod tests {
         assert!((found.away[0] - 1.0).abs() < 1e-12);
         let swapped = Section::overlap(&square, &at(0.099, 0.02, 0.0), &square, &at(0.0, 0.0, 0.0)).unwrap();
         assert!((swapped.away[0] + 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_is_common_to_two_sections_has_the_hull_of_both() {
+        let square = Section::rectangle(0.1, 0.1);
+        let common = Section::common(&square, &at(0.0, 0.0, 0.0), &square, &at(0.06, 0.02, 0.0));
+        for (p, inside) in [([0.03, 0.01], true), ([0.0101, -0.029], true), ([0.009, 0.0], false)] {
+            assert_eq!(within_hull(&common, p), inside, "{p:?}");
+        }
+        assert!(Section::common(&square, &at(0.0, 0.0, 0.0), &square, &at(0.2, 0.0, 0.0)).is_empty());
+        assert!(!within_hull(&[], [0.0, 0.0]) && !within_hull(&[[1.0, 0.0], [0.0, 1.0]], [0.0, 0.0]));
+        // A bridge: nothing is under its middle.
+        assert!(within_hull(&[[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]], [0.0, 0.0]));
     }
 
     #[test]

@@ -116,8 +116,13 @@ impl Cell {
     }
 
     /// Picks at (x, y) and places with the object's underside `height` above the table at `to`.
-    fn move_object(&mut self, from: [f64; 2], to: [f64; 2], height: f64) {
-        self.grip(from[0], from[1], 0.02);
+    pub(super) fn move_object(&mut self, from: [f64; 2], to: [f64; 2], height: f64) {
+        self.move_object_at(from, 0.02, to, height);
+    }
+
+    /// The same with the top to pick at so high above the table.
+    pub(super) fn move_object_at(&mut self, from: [f64; 2], top: f64, to: [f64; 2], height: f64) {
+        self.grip(from[0], from[1], top);
         self.go([from[0], from[1], 0.1]);
         self.go([to[0], to[1], 0.1]);
         self.go([to[0], to[1], 0.02 + height]);
@@ -459,7 +464,7 @@ fn any_sequence_of_moves_leaves_flat_objects_apart() {
     });
     let mut cell = Cell::new(objects.collect(), PlacementErrors::default(), 21);
     let mut rng = ChaCha8Rng::seed_from_u64(22);
-    let (mut moved, mut tilted) = (0, 0);
+    let (mut moved, mut tilted, mut stacked) = (0, 0, 0);
     for _ in 0..60 {
         let body = &cell.world.objects()[rng.random_range(0..8)];
         let on = body.pose().transform(if body.id == "3" || body.id == "7" {
@@ -472,18 +477,24 @@ fn any_sequence_of_moves_leaves_flat_objects_apart() {
         moved += cell.happened(|kind| matches!(kind, EventKind::Gripped { .. }));
         let bodies = cell.world.objects();
         tilted += bodies.iter().filter(|body| body.is_tilted()).count();
+        stacked += bodies.iter().filter(|body| body.is_stacked()).count();
         for (i, a) in bodies.iter().enumerate() {
-            let up =
-                if a.is_tilted() { a.bottom_m() > -1e-9 } else { a.table_from_object.translation.z == 0.0 };
+            let up = match (a.is_tilted(), a.supports().first()) {
+                (true, _) => a.bottom_m() > -1e-9,
+                (false, Some(under)) => (a.bottom_m() - bodies[*under].top_m()).abs() < 1e-3,
+                (false, None) => a.table_from_object.translation.z == 0.0,
+            };
             assert!(a.pose().is_finite() && up, "{a:?}");
-            for b in bodies[..i].iter().filter(|b| !a.is_tilted() && !b.is_tilted()) {
+            let beside = |b: &&Body| a.bottom_m() < b.top_m() - 1e-4 && b.bottom_m() < a.top_m() - 1e-4;
+            let flat = bodies[..i].iter().filter(|b| !a.is_tilted() && !b.is_tilted());
+            for b in flat.filter(beside) {
                 let depth =
                     Section::overlap(&a.section, &a.pose(), &b.section, &b.pose()).map_or(0.0, |o| o.depth_m);
                 assert!(depth < YIELD_M, "{} and {} overlap by {depth}", a.id, b.id);
             }
         }
     }
-    assert!(moved > 30 && tilted > 5, "{moved} {tilted}");
+    assert!(moved > 30 && tilted > 5 && stacked > 5, "{moved} {tilted} {stacked}");
 }
 
 #[test]

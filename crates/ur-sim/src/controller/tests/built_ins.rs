@@ -369,3 +369,88 @@ fn other_models_have_their_reach_and_their_name() {
     assert!(fastest <= 120.0 / 180.0 * PI + 1e-9, "{fastest} rad/s");
     assert_eq!(controller.core.config.model, "UR10");
 }
+
+/// The script manual's example: a cosine across a line, 5 mm wide.
+const WEAVE: &str = "def w():\n thread weave():\n  p = 0\n  while True:\n   p = p + 4 * 3.14159 / 500\n   \
+                     path_offset_set([0,0,0.005*(cos(p)-1),0,0,0], 1)\n   sync()\n  end\n end\n \
+                     path_offset_enable()\n run weave()\n a = get_target_tcp_pose_along_path()\n \
+                     movel(pose_add(a, p[0,0.2,0,0,0,0]), v=0.1)\n \
+                     textmsg(pose_dist(get_target_tcp_pose_along_path(), pose_add(a, p[0,0.2,0,0,0,0])) < \
+                     0.000001)\n set_digital_out(1, True)\n path_offset_disable(10)\n textmsg(path_offset_get(1))\nend\n";
+
+#[test]
+fn a_weaving_offset_is_laid_over_a_move_and_left_at_its_end() {
+    let mut controller = running();
+    upload(&mut controller, WEAVE);
+    let start = controller.core.mover.tcp().translation.vector;
+    let (mut lowest, mut highest) = (0.0f64, f64::NEG_INFINITY);
+    while controller.core.registers.digital_outputs & 2 == 0 {
+        controller.frame();
+        let at = controller.core.mover.tcp().translation.vector - start;
+        (lowest, highest) = (lowest.min(at.z), highest.max(at.z));
+        assert!(at.x.abs() < 1e-6, "{at}");
+    }
+    assert!((lowest + 0.01).abs() < 1e-4 && highest.abs() < 1e-6, "{lowest} {highest}");
+    step_until(&mut controller, stopped);
+    (0..500).for_each(|_| controller.frame());
+    assert!(controller.core.mover.stands() && !controller.core.mover.is_offset());
+    let said = messages(&mut controller);
+    assert!(said.contains(&"text:True".to_owned()), "{said:?}");
+    assert!(said.contains(&"text:p[0, 0, 0, 0, 0, 0]".to_owned()), "{said:?}");
+}
+
+#[test]
+fn a_standing_arm_follows_its_offset_and_jerks_stop_it() {
+    let script = |step: f64, filter: &str| {
+        format!(
+            "def o():\n path_offset_enable()\n {filter}\n path_offset_set([0,0,{step},0,0,0], 2)\n sleep(1)\n \
+             textmsg(abs(path_offset_get(2)[2] - 0.05) < 0.00001)\n textmsg(abs(path_offset_get(1)[2] + 0.05) < 0.00001)\n path_offset_disable()\n textmsg(path_offset_get(2)[2])\nend\n"
+        )
+    };
+    let mut controller = running();
+    upload(&mut controller, &script(0.05, "path_offset_set_alpha_filter(0.02)"));
+    let start = controller.core.mover.tcp().translation.vector;
+    controller.frame();
+    step_until(&mut controller, stopped);
+    let moved = controller.core.mover.tcp().translation.vector - start;
+    // The tool looks down.
+    assert!((moved.z + 0.05).abs() < 1e-4, "{moved}");
+    assert_eq!(messages(&mut controller)[1..4], ["text:True", "text:True", "text:0"]);
+    let mut controller = running();
+    upload(&mut controller, &script(0.05, ""));
+    step_until(&mut controller, |c| c.core.modes.protective_stopped());
+}
+
+#[test]
+fn offsets_and_conveyors_exclude_each_other_and_nonsense_is_refused() {
+    for (statements, complaint) in [
+        ("path_offset_enable()\n track_conveyor_linear(p[1,0,0,0,0,0], 100)", "a path offset is enabled"),
+        ("track_conveyor_linear(p[1,0,0,0,0,0], 100)\n path_offset_enable()", "a conveyor is tracked"),
+        ("path_offset_set([0,0,0,0,0,0], 5)", "there is no type 5"),
+        ("path_offset_set_alpha_filter(1.1)", "not between 0 and 1"),
+        ("path_offset_set_max_offset(-1, 0)", "are no limits"),
+    ] {
+        let said = said(&format!("def n():\n {statements}\nend\n"));
+        assert!(said.iter().any(|text| text.contains(complaint)), "{statements}: {said:?}");
+    }
+}
+
+#[test]
+fn turns_of_an_endless_wrist_are_taken_back_and_others_have_none() {
+    let script = "def r():\n movej([0,-1.57,1.57,-1.57,-1.57,14], a=20, v=6)\n reset_revolution_counter()\n textmsg(abs(get_actual_joint_positions()[5] - 1.4336) < 0.001)\n \
+                  reset_revolution_counter([0,0,0,0,0,7])\n textmsg(abs(get_actual_joint_positions()[5] - 7.7168) < \
+                  0.001)\nend\n";
+    let ur3e = ARM_MODELS.iter().find(|model| model.name == "UR3e").unwrap();
+    let config = ControllerConfig { running: true, ..ControllerConfig::of(ur3e, 3) };
+    let mut controller = Controller::new(config);
+    upload(&mut controller, script);
+    controller.frame();
+    step_until(&mut controller, stopped);
+    let said = messages(&mut controller);
+    assert_eq!(said.iter().filter(|text| *text == "text:True").count(), 2, "{said:?}");
+    let mut controller = running();
+    upload(&mut controller, script);
+    controller.frame();
+    step_until(&mut controller, stopped);
+    assert!(messages(&mut controller)[1].contains("out of its range"), "a UR5e stops at a turn");
+}

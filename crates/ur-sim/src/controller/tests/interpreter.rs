@@ -98,6 +98,34 @@ fn clearing_forgets_what_statements_declared_and_keeps_what_they_changed() {
 }
 
 #[test]
+fn clearing_ends_the_threads_that_statements_have_started_and_no_others() {
+    let script = "def p():\n thread own():\n  while True:\n   write_output_integer_register(1, \
+                  read_output_integer_register(1) + 1)\n   sync()\n  end\n end\n run own()\n \
+                  interpreter_mode()\nend\n";
+    let mut controller = running();
+    upload(&mut controller, script);
+    (0..5).for_each(|_| controller.frame());
+    let count = "write_output_integer_register(2, read_output_integer_register(2) + 1)";
+    for line in [
+        format!("thread child(): while True: {count} sync() end end"),
+        "thread parent(): run child() while True: speedj([0.2,0,0,0,0,0], 1, 10) end end".to_owned(),
+        "run parent()".to_owned(),
+    ] {
+        assert!(say(&mut controller, &line).starts_with("ack"), "{line}");
+    }
+    (0..500).for_each(|_| controller.frame());
+    assert!(controller.core.mover.qd()[0] > 0.1);
+    say(&mut controller, "clear_interpreter()");
+    (0..200).for_each(|_| controller.frame());
+    let before = [1, 2].map(|register| controller.core.registers.output_ints[register]);
+    (0..50).for_each(|_| controller.frame());
+    let after = [1, 2].map(|register| controller.core.registers.output_ints[register]);
+    assert_eq!([after[0] - before[0], after[1] - before[1]], [50, 0]);
+    assert!(before[1] > 100 && controller.core.mover.stands());
+    assert!(say(&mut controller, "run parent()").starts_with("discard"), "it is forgotten");
+}
+
+#[test]
 fn statements_before_the_mode_wait_for_it_or_go_as_its_argument_says() {
     for (argument, expected) in [("clearQueueOnEnter=False", &["text:early"][..]), ("", &[])] {
         let mut controller = running();

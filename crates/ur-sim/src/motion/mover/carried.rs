@@ -1,12 +1,14 @@
-//! The arm on a conveyor: its tasks go on in the path's own coordinates, and the belt shifts where they
-//! lead.
+//! The arm away from its path: its tasks go on in the path's own coordinates, and a conveyor or an offset
+//! shifts where they lead.
 //!
-//! In: the belt, and how far it moves in a frame. Out: joint positions on the belt. Without a belt nothing
-//! is computed, and the arm is where its tasks put it.
+//! In: the belt, and how far it moves in a frame; or the offset that a script wants. Out: joint positions.
+//! Without either nothing is computed, and the arm is where its tasks put it.
 
 use crate::motion::MotionFault;
-use crate::motion::belt::{Belt, Carried};
+use crate::motion::belt::Belt;
+use crate::motion::carrier::{Carried, Carrier};
 use crate::motion::mover::{Mover, Task};
+use crate::motion::path_offset::{OffsetFrame, OffsetWish, PathOffset};
 use cell_values::units::Joints;
 use nalgebra::Vector6;
 
@@ -14,28 +16,54 @@ impl Mover {
     /// From now on a belt carries all motion along; it begins where the arm is.
     pub fn track(&mut self, belt: Belt) {
         self.settle_on_path();
-        self.carried = Some(Carried { belt, q: self.q });
+        self.carried = Some(Carried { by: Carrier::Belt(belt), q: self.q });
+    }
+
+    /// From now on the offset of [`Mover::offset`] is laid over all motion.
+    pub fn begin_offset(&mut self) {
+        if !self.is_offset() {
+            self.settle_on_path();
+            self.carried = Some(Carried { by: Carrier::Offset(PathOffset::default()), q: self.q });
+        }
     }
 
     /// A belt carries the arm.
     pub fn tracks(&self) -> bool {
-        self.carried.is_some()
+        self.carried.as_ref().is_some_and(|carried| matches!(carried.by, Carrier::Belt(_)))
+    }
+
+    /// An offset is laid over the path.
+    pub fn is_offset(&self) -> bool {
+        self.carried.as_ref().is_some_and(|carried| matches!(carried.by, Carrier::Offset(_)))
+    }
+
+    /// The offset that is applied, relative to `frame`: m and a rotation vector in rad; 0 without one.
+    pub fn applied_offset(&self, frame: OffsetFrame) -> [f64; 6] {
+        match self.carried.as_ref().map(|carried| &carried.by) {
+            Some(Carrier::Offset(offset)) => offset.relative_to(frame, &self.path_tcp()),
+            Some(Carrier::Belt(_)) | None => [0.0; 6],
+        }
+    }
+
+    /// What scripts want laid over the path; it is when [`Mover::begin_offset`] has been called.
+    pub fn offset(&mut self) -> &mut OffsetWish {
+        &mut self.offset
     }
 
     /// The belt moves on: m or rad.
     pub fn move_belt(&mut self, by: f64) {
-        if let Some(carried) = &mut self.carried {
-            carried.belt.advance(by);
+        if let Some(Carried { by: Carrier::Belt(belt), .. }) = &mut self.carried {
+            belt.advance(by);
         }
     }
 
-    /// The TCP's speed as it would be without a conveyor: m/s, rad/s.
+    /// The TCP's speed as it would be on its path: m/s, rad/s.
     pub fn path_speed(&self) -> Vector6<f64> {
-        if self.tracks() { self.own_tool_speed() } else { self.tcp_speed() }
+        if self.carried.is_some() { self.own_tool_speed() } else { self.tcp_speed() }
     }
 
-    /// Leaves the belt and stops the joints, the fastest of them braking at `acceleration` (rad/s2).
-    pub fn stop_tracking(&mut self, acceleration: f64) {
+    /// Leaves belt or offset and stops the joints, the fastest of them braking at `acceleration` (rad/s2).
+    pub fn leave_carrier(&mut self, acceleration: f64) {
         self.settle_on_path();
         self.task = Task::StopJoints { acceleration };
     }
@@ -48,11 +76,23 @@ impl Mover {
         }
     }
 
-    /// Where a position of the path is on the belt.
-    pub(super) fn on_belt(&self, path: &Joints) -> Result<Joints, MotionFault> {
-        let Some(carried) = &self.carried else { return Ok(*path) };
-        let pose = carried.belt.place(&self.arm.tcp(path));
+    /// Where the arm is for the next position of its path.
+    pub(super) fn off_path(&mut self, path: &Joints) -> Result<Joints, MotionFault> {
+        let Some(carried) = &mut self.carried else { return Ok(*path) };
+        let now = self.arm.tcp(path);
+        let pose = match &mut carried.by {
+            Carrier::Belt(belt) => belt.place(&now),
+            Carrier::Offset(offset) => {
+                offset.advance(&self.offset, &self.arm.tcp(&self.q), &now);
+                offset.place(&now)
+            }
+        };
         self.arm.follow(&pose, &carried.q).ok_or(MotionFault::Unreachable)
+    }
+
+    /// Ends the task of an arm at rest, which stays where it is: on its belt, too.
+    pub fn rest(&mut self) {
+        (self.task, self.own) = (Task::Stand, [0.0; 6]);
     }
 }
 
@@ -97,7 +137,7 @@ mod tests {
         let moved = f64::from(frames) * 0.1 * FRAME_SECONDS;
         let at = mover.tcp().translation.vector - before.translation.vector;
         assert!((at - Vector3::new(0.0, moved, 0.0)).norm() < 1e-6, "{at} {moved}");
-        mover.stop_tracking(20.0);
+        mover.leave_carrier(20.0);
         assert!(!mover.tracks() && !mover.stands());
         while !mover.stands() {
             mover.step(1.0).unwrap();

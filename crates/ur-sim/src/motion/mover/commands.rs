@@ -134,7 +134,7 @@ impl Mover {
         {
             return (last.segment.target(), (last.segment.duration() - last.time).max(0.0));
         }
-        if self.stands() || (self.tracks() && self.has_braked()) {
+        if self.stands() || (self.carried.is_some() && self.has_braked()) {
             self.task = Task::Segments(VecDeque::new());
             return (self.q, 0.0);
         }

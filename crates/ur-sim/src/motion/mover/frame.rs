@@ -26,7 +26,7 @@ impl Mover {
         self.drive +=
             (drive - self.drive).clamp(-FRAME_SECONDS / SOFT_RAMP_SECONDS, FRAME_SECONDS / SOFT_RAMP_SECONDS);
         let next = self.next_position().and_then(|next| self.give_way(next));
-        let placed = next.and_then(|next| Ok((next, self.on_belt(&next)?)));
+        let placed = next.and_then(|next| Ok((next, self.off_path(&next)?)));
         match placed.and_then(|(next, actual)| self.check(&actual).map(|()| (next, actual))) {
             Ok((next, actual)) => {
                 let before = self.q();

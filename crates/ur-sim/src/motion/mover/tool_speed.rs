@@ -1,4 +1,4 @@
-//! How fast the tool is, and may be.
+//! How fast the tool and the arm are, and may be.
 //!
 //! In: the mover's joint speeds and the tool speed limit of the safety configuration. Out: speeds scaled
 //! down to it. Here because segments, joint speeds and tool speeds are all held to the same limit.
@@ -15,8 +15,20 @@ impl Mover {
         let next = next_flange * self.arm.flange_from_tcp;
         let speed = (next.translation.vector - self.tcp().translation.vector).norm() / FRAME_SECONDS;
         let unlimited = speed / self.limiter;
+        self.limited = self.limiter;
         let allowed = (self.arm.tool_speed / unlimited.max(1e-9)).clamp(0.01, 1.0);
         self.limiter = if matches!(self.task, Task::Segments(_)) { allowed } else { 1.0 };
+    }
+
+    /// Slows segments down in the next frame: the last one took `strain` of what is allowed, which grows
+    /// with the speed. True if something else than segments is beyond it, which cannot be slowed.
+    pub fn hold_back(&mut self, strain: f64) -> bool {
+        if !matches!(self.task, Task::Segments(_)) {
+            return strain > 1.0;
+        }
+        let unlimited = strain / self.limited;
+        self.limiter = self.limiter.min(1.0 / unlimited.max(1e-9)).max(0.01);
+        false
     }
 
     /// Joint speeds (rad/s) scaled down so that the tool keeps its limit.

@@ -1,0 +1,8 @@
+//! Fuzz target `robot_api`; what it does is in `targets.rs`.
+#![no_main]
+
+#[allow(dead_code, reason = "each binary runs one of the targets")]
+#[path = "../targets.rs"]
+mod targets;
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| targets::robot_api(data));

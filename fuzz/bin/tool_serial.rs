@@ -1,0 +1,8 @@
+//! Fuzz target `tool_serial`; what it does is in `targets.rs`.
+#![no_main]
+
+#[allow(dead_code, reason = "each binary runs one of the targets")]
+#[path = "../targets.rs"]
+mod targets;
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| targets::tool_serial(data));
