@@ -22,6 +22,7 @@ use rules::{Row, Uses};
 const TABLE: &[Row] = &[
     Row { module: "cell-values", uses: Uses::Only(&[]), pure: true },
     Row { module: "cell-edge", uses: Uses::Only(&["cell-values"]), pure: false },
+    Row { module: "cell-fleet", uses: Uses::Only(&["cell-values"]), pure: false },
     Row { module: "ur-wire", uses: Uses::Only(&[]), pure: true },
     Row { module: "urscript", uses: Uses::Only(&[]), pure: true },
     Row { module: "ur-arm", uses: Uses::Only(&["cell-values"]), pure: true },
