@@ -15,7 +15,7 @@ use cell_machine::orders::Approval;
 use cell_parts::file::read_text;
 use clap::{Args, ValueEnum};
 use rearrange::document::tree::Node;
-use rearrange::document::{Diagnostics, parse};
+use rearrange::document::{Diagnostics, parse_rest};
 use rearrange::tabletop::parse::parse_with_sound_goals;
 use std::path::{Path, PathBuf};
 use ur_sim::config::load::load_sim;
@@ -95,7 +95,7 @@ fn check(path: &Path, with: With) -> Result<Kind, String> {
     let kind = match with.kind {
         Some(kind) => kind,
         None => {
-            let node = parse(&text, &source).map_err(|complaints| complaints.to_string())?;
+            let (node, _) = parse_rest(&text, &source).map_err(|complaints| complaints.to_string())?;
             kind_of(&node).ok_or_else(|| {
                 format!(
                     "{source}:1:1: its top-level keys are those of no file of celld; say what it is with \
@@ -157,7 +157,7 @@ fn check_as(kind: Kind, path: &Path, text: &str, source: &str, with: With) -> Re
 
 fn check_calibration(text: &str, source: &str) -> Result<(), String> {
     let reported = |complaints: Diagnostics| complaints.to_string();
-    let node = parse(text, source).map_err(reported)?;
+    let (node, _) = parse_rest(text, source).map_err(reported)?;
     match files::kind(&node) {
         Some(files::Kind::Camera) => {
             files::camera::CameraCalibration::parse(text, source).map(drop).map_err(reported)
@@ -194,6 +194,7 @@ fn default_shapes(path: &Path) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rearrange::document::parse;
 
     #[track_caller]
     fn check_kind(text: &str, expected: Option<Kind>) {

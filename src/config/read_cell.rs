@@ -24,8 +24,8 @@ use cell_parts::gripper::gripper;
 use cell_parts::places::Places;
 use cell_parts::reference::reference_markers;
 use cell_values::units::{Joints, rad_from_deg};
+use rearrange::document::Diagnostics;
 use rearrange::document::decode::{At, Decoder, Fields};
-use rearrange::document::{Diagnostics, parse};
 use rearrange::tabletop::decode;
 use rearrange::tabletop::instance::ObjectSpec;
 use rearrange::tabletop::parse::{MarkerUse, unique_names_and_markers, workspace};
@@ -99,8 +99,7 @@ pub fn read_cell(
     folder: &Path,
     read_file: &ReadFile,
 ) -> Result<CellConfig, Diagnostics> {
-    let node = parse(text, source)?;
-    let mut decoder = Decoder::new(source);
+    let (node, mut decoder) = Decoder::open(text, source)?;
     let mut beside = Diagnostics::default();
     let cell = decoder.map(&At::top(&node), CELL_KEYS).and_then(|fields| {
         let parts = parts(&mut decoder, &fields, folder, read_file, &mut beside);
@@ -269,11 +268,10 @@ fn catalogue(
 }
 
 fn object_file(text: &str, source: &str) -> (Catalogue, Diagnostics) {
-    let node = match parse(text, source) {
-        Ok(node) => node,
+    let (node, mut decoder) = match Decoder::open(text, source) {
+        Ok(opened) => opened,
         Err(complaints) => return (Catalogue::default(), complaints),
     };
-    let mut decoder = Decoder::new(source);
     let found = decoder.map(&At::top(&node), &["version", "objects"]).and_then(|fields| {
         if let Some(version) = fields.optional("version") {
             decoder.integer(&version, 1..=1);

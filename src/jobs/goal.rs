@@ -8,7 +8,7 @@ use crate::jobs::record::GoalPose;
 use cell_edge::files::read_regular;
 use cell_machine::orders::Approval;
 use rearrange::document::decode::{At, Decoder, Fields, suggestion};
-use rearrange::document::{Diagnostics, Location, Node, parse};
+use rearrange::document::{Diagnostics, Location, Node};
 use rearrange::geometry::collision::{TOUCH_M, overhang, penetration};
 use rearrange::geometry::pose::Pose2;
 use rearrange::tabletop::decode;
@@ -192,8 +192,7 @@ pub fn parse_goal_file(
     source: &str,
     context: Option<&GoalContext>,
 ) -> Result<Vec<GoalEntry>, Diagnostics> {
-    let node = parse(text, source)?;
-    let mut decoder = Decoder::new(source);
+    let (node, mut decoder) = Decoder::open(text, source)?;
     let top = At::top(&node);
     let entries = if node.get("workspace").is_some() {
         decode_instance_goals(&mut decoder, &top)

@@ -42,8 +42,7 @@ const MAX_TIME_LIMIT_S: f64 = 86_400.0;
 /// # Errors
 /// Every complaint; those about the goal file name that file.
 pub fn read_job(text: &str, source: &str, context: &JobContext) -> Result<JobSpec, Diagnostics> {
-    let node = parse(text, source)?;
-    let mut decoder = Decoder::new(source);
+    let (node, mut decoder) = Decoder::open(text, source)?;
     let mut goal_complaints = Diagnostics::default();
     let job = decoder
         .map(&At::top(&node), &KEYS)

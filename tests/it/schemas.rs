@@ -128,6 +128,7 @@ fn json_of(node: &Node) -> Value {
             .map(|entry| (entry.key.clone(), json_of(&entry.node)))
             .collect::<Map<_, _>>()
             .into(),
+        Tree::Unread => panic!("{:?}: what is not valid is no document", node.at),
         Tree::Scalar { text, quoted: true } => json!(text),
         Tree::Scalar { text, quoted: false } => match text.as_str() {
             "" | "~" | "null" => Value::Null,

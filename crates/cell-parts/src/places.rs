@@ -39,6 +39,6 @@ impl<'n> Places<'n> {
 fn item(node: &Node, index: usize) -> Option<&Node> {
     match &node.value {
         Value::Sequence(items) => items.get(index),
-        Value::Map(_) | Value::Scalar { .. } => None,
+        Value::Map(_) | Value::Scalar { .. } | Value::Unread => None,
     }
 }

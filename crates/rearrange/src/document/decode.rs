@@ -9,7 +9,7 @@ use std::str::FromStr;
 
 use crate::document::tree::{Entry, Node, Value};
 use crate::document::word::UnknownWord;
-use crate::document::{Diagnostic, Diagnostics, Location, parse};
+use crate::document::{Diagnostic, Diagnostics, Location, parse_rest};
 
 /// Most complaints kept; a file that is wrong everywhere need not fill a screen per object.
 const MAX_COMPLAINTS: usize = 200;
@@ -23,8 +23,7 @@ pub fn read<T>(
     name: &str,
     decode: impl FnOnce(&At, &mut Decoder) -> Option<T>,
 ) -> Result<T, Diagnostics> {
-    let node = parse(text, name)?;
-    let mut decoder = Decoder::new(name);
+    let (node, mut decoder) = Decoder::open(text, name)?;
     let value = decode(&At::top(&node), &mut decoder);
     decoder.finish(value)
 }
@@ -108,6 +107,16 @@ impl Decoder {
         Decoder { source: source.into(), complaints: Vec::new() }
     }
 
+    /// What can be read of a text, and a decoder that has the complaints about the rest: with them it never
+    /// finishes with a value, but with everything that is wrong.
+    ///
+    /// # Errors
+    /// Nothing of the text can be read; what is wrong.
+    pub fn open(text: &str, source: &str) -> Result<(Node, Decoder), Diagnostics> {
+        let (node, Diagnostics(complaints)) = parse_rest(text, source)?;
+        Ok((node, Decoder { source: source.to_string(), complaints }))
+    }
+
     /// Keeps a complaint.
     pub fn complain(
         &mut self,
@@ -170,7 +179,9 @@ impl Decoder {
     pub fn open_map<'n>(&mut self, at: &At<'n>) -> Option<Fields<'n>> {
         match &at.node.value {
             Value::Map(entries) => Some(Fields { entries, path: at.path.clone(), at: at.node.at }),
-            Value::Scalar { .. } | Value::Sequence(_) => self.wrong_type(at, "a map of keys and values"),
+            Value::Scalar { .. } | Value::Sequence(_) | Value::Unread => {
+                self.wrong_type(at, "a map of keys and values")
+            }
         }
     }
 
@@ -362,6 +373,8 @@ impl Decoder {
 
     fn wrong_type<T>(&mut self, at: &At, wanted: &str) -> Option<T> {
         let found = match &at.node.value {
+            // The complaint about it is there already.
+            Value::Unread => return None,
             Value::Scalar { text, quoted: false } if !at.node.is_null() => format!("{text:?}"),
             _ => at.node.kind().to_string(),
         };

@@ -7,7 +7,7 @@
 
 use std::collections::HashMap;
 
-use saphyr_parser::{Event, Parser, ScalarStyle, Span, StrInput};
+use saphyr_parser::{Event, Parser, ScalarStyle, StrInput};
 
 use crate::document::diagnostic::{Diagnostic, Diagnostics, Location};
 
@@ -41,6 +41,8 @@ pub enum Value {
     Sequence(Vec<Node>),
     /// Keys and values in the order of the text; keys are unique.
     Map(Vec<Entry>),
+    /// Text that is not valid: there is a complaint about it, and none that it lacks something.
+    Unread,
 }
 
 /// A key and its value.
@@ -59,7 +61,7 @@ impl Node {
     pub fn get(&self, key: &str) -> Option<&Node> {
         match &self.value {
             Value::Map(entries) => entries.iter().find(|entry| entry.key == key).map(|entry| &entry.node),
-            Value::Scalar { .. } | Value::Sequence(_) => None,
+            Value::Scalar { .. } | Value::Sequence(_) | Value::Unread => None,
         }
     }
 
@@ -67,7 +69,7 @@ impl Node {
     pub fn scalar(&self) -> Option<&str> {
         match &self.value {
             Value::Scalar { text, .. } => Some(text),
-            Value::Sequence(_) | Value::Map(_) => None,
+            Value::Sequence(_) | Value::Map(_) | Value::Unread => None,
         }
     }
 
@@ -81,6 +83,7 @@ impl Node {
         match &self.value {
             Value::Sequence(_) => "a list",
             Value::Map(_) => "a map",
+            Value::Unread => "what cannot be read",
             Value::Scalar { .. } if self.is_null() => "nothing",
             Value::Scalar { quoted: true, .. } => "text in quotes",
             Value::Scalar { .. } => "a plain value",
@@ -93,38 +96,52 @@ impl Node {
 /// # Errors
 /// The syntax error, or every duplicate key, anchor, alias and tag at once.
 pub fn parse(text: &str, source: &str) -> Result<Node, Diagnostics> {
+    let text = plain(text, source)?;
+    let (node, complaints) = parse_part(text, source, 0);
+    node.filter(|_| complaints.is_empty()).ok_or_else(|| sorted(complaints))
+}
+
+/// The text without its mark of byte order.
+pub(crate) fn plain<'t>(text: &'t str, source: &str) -> Result<&'t str, Diagnostics> {
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     if text.len() > MAX_BYTES {
         let message = format!("the file has {} bytes, at most {MAX_BYTES} are read", text.len());
-        return Err(Diagnostics(vec![plain_complaint(source, Location { line: 1, column: 1 }, message, "")]));
+        return Err(Diagnostics(vec![complaint(source, Location { line: 1, column: 1 }, message, "")]));
     }
-    let mut builder =
-        Builder { source, events: Parser::new_from_str(text), complaints: Vec::new(), nodes: 0 };
+    Ok(text)
+}
+
+/// Parses the lines of a text that follow its first `before`; no tree where the syntax is wrong.
+pub(crate) fn parse_part(text: &str, source: &str, before: usize) -> (Option<Node>, Vec<Diagnostic>) {
+    let events = Parser::new_from_str(text);
+    let mut builder = Builder { source, events, before, complaints: Vec::new(), nodes: 0 };
     let result = builder.document();
     let mut complaints = builder.complaints;
     match result {
-        Ok(node) if complaints.is_empty() => Ok(node),
-        Ok(_) => Err(sorted(complaints)),
+        Ok(node) => (Some(node), complaints),
         Err(Stop(complaint)) => {
             complaints.push(complaint);
-            Err(sorted(complaints))
+            (None, complaints)
         }
     }
 }
 
-fn sorted(mut complaints: Vec<Diagnostic>) -> Diagnostics {
+/// Complaints in the order of the text.
+pub(crate) fn sorted(mut complaints: Vec<Diagnostic>) -> Diagnostics {
     complaints.sort_by_key(|complaint| complaint.at);
     Diagnostics(complaints)
 }
 
-fn plain_complaint(source: &str, at: Location, message: impl Into<String>, help: &str) -> Diagnostic {
-    Diagnostic {
-        source: source.to_string(),
-        at,
-        path: String::new(),
-        message: message.into(),
-        help: help.to_string(),
-    }
+/// A complaint about a place of the text.
+pub(crate) fn complaint(source: &str, at: Location, message: impl Into<String>, help: &str) -> Diagnostic {
+    let (source, message) = (source.to_string(), message.into());
+    Diagnostic { source, at, path: String::new(), message, help: help.to_string() }
+}
+
+/// A key that is there already.
+pub(crate) fn repeated(source: &str, key: &str, at: Location, first: Location) -> Diagnostic {
+    let message = format!("key {key:?} is written twice, first in line {}", first.line);
+    complaint(source, at, message, "remove one of the two")
 }
 
 /// A complaint after which the rest of the text means nothing.
@@ -133,6 +150,8 @@ struct Stop(Diagnostic);
 struct Builder<'a> {
     source: &'a str,
     events: Parser<'a, StrInput<'a>>,
+    /// Lines of the file before this text.
+    before: usize,
     complaints: Vec<Diagnostic>,
     nodes: usize,
 }
@@ -170,9 +189,9 @@ impl<'a> Builder<'a> {
 
     fn next(&mut self) -> Result<(Event<'a>, Location), Stop> {
         match self.events.next_event() {
-            Some(Ok((event, span))) => Ok((event, location(&span))),
+            Some(Ok((event, span))) => Ok((event, self.location(span.start.line(), span.start.col()))),
             Some(Err(error)) => {
-                let at = Location { line: error.marker().line(), column: error.marker().col() + 1 };
+                let at = self.location(error.marker().line(), error.marker().col());
                 let message = format!("not valid YAML or JSON: {}", error.info());
                 Err(self.stop(at, message, "check indentation, brackets, quotes and colons"))
             }
@@ -180,8 +199,12 @@ impl<'a> Builder<'a> {
         }
     }
 
+    fn location(&self, line: usize, column: usize) -> Location {
+        Location { line: self.before + line, column: column + 1 }
+    }
+
     fn stop(&self, at: Location, message: impl Into<String>, help: &str) -> Stop {
-        Stop(plain_complaint(self.source, at, message, help))
+        Stop(complaint(self.source, at, message, help))
     }
 
     fn node(&mut self, event: Event<'a>, at: Location, depth: usize) -> Result<Node, Stop> {
@@ -241,8 +264,7 @@ impl<'a> Builder<'a> {
                 continue;
             };
             if let Some(first) = seen.get(&key) {
-                let message = format!("key {key:?} is written twice, first in line {}", first.line);
-                self.complain(key_at, message, "remove one of the two");
+                self.complaints.push(repeated(self.source, &key, key_at, *first));
                 continue;
             }
             seen.insert(key.clone(), key_at);
@@ -260,12 +282,8 @@ impl<'a> Builder<'a> {
     }
 
     fn complain(&mut self, at: Location, message: impl Into<String>, help: &str) {
-        self.complaints.push(plain_complaint(self.source, at, message, help));
+        self.complaints.push(complaint(self.source, at, message, help));
     }
-}
-
-fn location(span: &Span) -> Location {
-    Location { line: span.start.line(), column: span.start.col() + 1 }
 }
 
 #[cfg(test)]
@@ -336,7 +354,7 @@ mod tests {
                     alphabet[(state >> 33) as usize % alphabet.len()]
                 })
                 .collect();
-            let _ = parse(&text, "f");
+            let _ = crate::document::parse_rest(&text, "f");
         }
     }
 }

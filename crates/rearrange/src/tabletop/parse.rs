@@ -138,8 +138,7 @@ fn own_pair(
 }
 
 fn read(text: &str, source: &str, shapes: ShapeLookup, role: Role) -> Result<Instance, Diagnostics> {
-    let node = parse(text, source)?;
-    let mut decoder = Decoder::new(source);
+    let (node, mut decoder) = Decoder::open(text, source)?;
     let parts = parts(&mut decoder, &node, shapes, role);
     decoder.finish(parts.and_then(Parts::instance))
 }

@@ -18,8 +18,8 @@ use cell_parts::grid::{board, board_apart};
 use cell_parts::places::Places;
 use cell_parts::reference::{ReferenceMarkerConfig, check_reference_markers, reference_markers};
 use cell_values::units::rad_from_deg;
+use rearrange::document::Diagnostics;
 use rearrange::document::decode::{At, Decoder, Fields};
-use rearrange::document::{Diagnostics, parse};
 use rearrange::tabletop::arrangement::{Layout, Place};
 use rearrange::tabletop::decode;
 use rearrange::tabletop::instance::{ObjectSpec, Workspace};
@@ -74,8 +74,7 @@ pub const DEFAULT_ERRORS: SimErrors = SimErrors {
 /// # Errors
 /// Every complaint.
 pub fn read_sim(text: &str, source: &str) -> Result<SimFile, Diagnostics> {
-    let node = parse(text, source)?;
-    let mut decoder = Decoder::new(source);
+    let (node, mut decoder) = Decoder::open(text, source)?;
     let file = decoder
         .map(&At::top(&node), SIM_KEYS)
         .and_then(|fields| sim(&mut decoder, &fields, &Places::new(&node)));

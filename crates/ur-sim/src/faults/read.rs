@@ -16,7 +16,7 @@ use cell_values::units::rad_from_deg;
 use nalgebra::{Isometry3, Vector3};
 use rearrange::document::decode::{At, Decoder, Fields, suggestion};
 use rearrange::document::tree::Value;
-use rearrange::document::{Diagnostics, Node, parse};
+use rearrange::document::{Diagnostics, Node};
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
 use std::ops::RangeInclusive;
@@ -93,8 +93,7 @@ pub const CATALOGUE: &[(&str, &[&str])] = &[
 /// # Errors
 /// Every complaint.
 pub fn read_faults(text: &str, source: &str) -> Result<Vec<Planned>, Diagnostics> {
-    let node = parse(text, source)?;
-    let mut decoder = Decoder::new(source);
+    let (node, mut decoder) = Decoder::open(text, source)?;
     let plans = decoder.map(&At::top(&node), &["version", "faults"]).and_then(|fields| {
         if let Some(at) = fields.optional("version") {
             decoder.integer(&at, 1..=1);
@@ -111,11 +110,10 @@ pub fn read_faults(text: &str, source: &str) -> Result<Vec<Planned>, Diagnostics
 /// Every complaint.
 pub fn read_posted(text: &str) -> Result<Vec<Planned>, Diagnostics> {
     let source = "posted";
-    let node = parse(text, source)?;
+    let (node, mut decoder) = Decoder::open(text, source)?;
     if node.get("faults").is_some() {
         return read_faults(text, source);
     }
-    let mut decoder = Decoder::new(source);
     let plan = planned(&mut decoder, &At::top(&node));
     decoder.finish(plan.map(|plan| vec![plan]))
 }
