@@ -112,6 +112,7 @@ const TABLE: &[Row] = &[
     },
     Row { module: "daemon", uses: Uses::AllAbove { but: &["ur-sim"], also: &[] }, pure: false },
     Row { module: "page", uses: Uses::AllAbove { but: &["ur-sim"], also: &[] }, pure: false },
+    Row { module: "fleet", uses: Uses::AllAbove { but: &["ur-sim"], also: &[] }, pure: false },
     Row { module: "doctor", uses: Uses::AllAbove { but: &["ur-sim", "page"], also: &[] }, pure: false },
     Row {
         module: "demo",

@@ -1,7 +1,7 @@
 //! Holds `docs/asyncapi.json` to the names and payloads; `CELLD_WRITE=1` writes it anew.
 //!
-//! In: the document as it is made, examples of every payload. Out: a difference, or an example that its schema
-//! does not take.
+//! In: the document as it is made, examples of every payload. Out: a difference, or an example that its
+//! schema does not take.
 
 use cell_fleet::asyncapi::asyncapi;
 use cell_fleet::payloads::{

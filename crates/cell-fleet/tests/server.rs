@@ -1,7 +1,7 @@
 //! Cells and persons against a real NATS server, which is killed, full, old or wrong.
 //!
-//! In: the program that `CELLD_NATS_SERVER` names (`make test-fleet`). Out: what the seeded schedules say holds
-//! on the real server too; without the program every test here is skipped, and says so.
+//! In: the program that `CELLD_NATS_SERVER` names (`make test-fleet`). Out: what the seeded schedules say
+//! holds on the real server too; without the program every test here is skipped, and says so.
 
 #[path = "server/bench.rs"]
 mod bench;
@@ -282,4 +282,40 @@ fn an_old_server_is_named() {
     };
     let fault = runtime().block_on(Client::open(&access, fleet(), "anna", STORAGE)).err().unwrap();
     assert_eq!(fault, ConnectFault::Old { found: "2.9.10".to_string() });
+}
+
+/// The events of a fleet for a client that knows MQTT alone, at the server's gateway.
+#[test]
+fn a_client_of_the_mqtt_gateway_sees_the_events() {
+    use std::io::{BufRead, BufReader};
+    use std::process::{Command, Stdio};
+    let (Some(program), Some(python)) = (program(), std::env::var_os("CELLD_MQTT_PYTHON")) else {
+        eprintln!(
+            "SKIPPED: CELLD_MQTT_PYTHON names no Python with paho-mqtt; `make test-fleet` installs one"
+        );
+        return;
+    };
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let config = format!(
+        "server_name: \"one\"\njetstream {{store_dir: \"STORE\"}}\nmqtt {{host: \"127.0.0.1\", port: {port}}}"
+    );
+    let server = Server::start(&program, &config);
+    let script = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fleet/mqtt.py");
+    let mut reader = Command::new(python)
+        .args([script.as_os_str(), port.to_string().as_ref(), "celld/v1/test/event/#".as_ref()])
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(reader.stdout.take().unwrap()).lines().map_while(Result::ok);
+    assert_eq!(lines.next().as_deref(), Some("READY"));
+    let mut cell = Cell::new("c1", server.access(None), 20);
+    cell.disk.lock().unwrap().told.push("the feeder is empty".to_string());
+    cell.up();
+    let line = lines.next().unwrap_or_default();
+    reader.kill().unwrap();
+    reader.wait().unwrap();
+    let (topic, payload) = line.split_once(' ').unwrap_or_default();
+    let event: cell_fleet::payloads::Event = serde_json::from_str(payload).unwrap();
+    assert_eq!((topic, event.number), ("celld/v1/test/event/c1/fault", 1));
+    assert!(matches!(event.what, What::Fault { message, .. } if message == "the feeder is empty"));
 }

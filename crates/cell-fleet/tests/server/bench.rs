@@ -1,7 +1,8 @@
 //! A real NATS server, and cells whose arm is a clock: what the tests with the server stand on.
 //!
 //! In: the program that `CELLD_NATS_SERVER` names. Out: a server that can be killed and started again on the
-//! same port and folder; cells on their own threads, which can be ended at any moment and go on from their disk.
+//! same port and folder; cells on their own threads, which can be ended at any moment and go on from their
+//! disk.
 
 use cell_fleet::client::Client;
 use cell_fleet::connect::{Access, Credentials};
