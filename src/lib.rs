@@ -18,6 +18,9 @@ pub mod daemon;
 
 pub mod page;
 
+#[cfg(feature = "fleet")]
+pub mod fleet;
+
 pub mod doctor;
 
 pub mod demo;

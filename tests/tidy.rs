@@ -22,6 +22,7 @@ use rules::{Row, Uses};
 const TABLE: &[Row] = &[
     Row { module: "cell-values", uses: Uses::Only(&[]), pure: true },
     Row { module: "cell-edge", uses: Uses::Only(&["cell-values"]), pure: false },
+    Row { module: "cell-fleet", uses: Uses::Only(&["cell-values"]), pure: false },
     Row { module: "ur-wire", uses: Uses::Only(&[]), pure: true },
     Row { module: "urscript", uses: Uses::Only(&[]), pure: true },
     Row { module: "ur-arm", uses: Uses::Only(&["cell-values"]), pure: true },
@@ -112,6 +113,7 @@ const TABLE: &[Row] = &[
     },
     Row { module: "daemon", uses: Uses::AllAbove { but: &["ur-sim"], also: &[] }, pure: false },
     Row { module: "page", uses: Uses::AllAbove { but: &["ur-sim"], also: &[] }, pure: false },
+    Row { module: "fleet", uses: Uses::AllAbove { but: &["ur-sim"], also: &[] }, pure: false },
     Row { module: "doctor", uses: Uses::AllAbove { but: &["ur-sim", "page"], also: &[] }, pure: false },
     Row {
         module: "demo",

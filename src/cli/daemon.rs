@@ -24,8 +24,9 @@ use crate::daemon::workers::{PerceptionSetup, Sight};
 use crate::doctor::files::blocked_poses;
 use crate::io::camera::monitored::MonitoredCamera;
 use crate::jobs::state::StateFolder;
+use crate::jobs::status::{Remarks, Status};
 use crate::page::feed::{Feed, KnownCell, Watcher};
-use crate::page::orders::{WithPage, desk};
+use crate::page::orders::{Desk, WithPage, desk};
 use crate::page::shared::Setup;
 use crate::page::texts::Texts;
 use crate::page::{ServeError, app};
@@ -203,7 +204,7 @@ async fn daemon(
     let watchdog = Watchdog::start(beats.clone());
     let (diagnostic_images, name) = (state.root().to_path_buf(), format!("celld-{seed}"));
     let confirmed = state.gripper_confirmed(&gripper_address(&config.devices));
-    let Opened { mut keeper, orders, feed, film } = opened(&config, &config_file, state, name)?;
+    let Opened { mut keeper, orders, feed, film } = opened(&config, &config_file, state, name, &stop)?;
     let reception = Reception::open(orders);
     for notice in keeper.notices() {
         tracing::warn!("{notice}");
@@ -274,10 +275,12 @@ fn opened(
     config_file: &Path,
     state: StateFolder,
     name: String,
+    stop: &Arc<AtomicBool>,
 ) -> Result<Opened, String> {
     let orders = StateOrders::open(&state, name.clone(), gripper_address(&config.devices))
         .map_err(|error| chain(&error))?;
-    let ((desk, join), feed) = (desk(), Feed::default());
+    let ((desk, join), feed, remarks) = (desk(), Feed::default(), Remarks::default());
+    let told = fleet(config, &state, &feed, &desk, &remarks, stop)?;
     let (mut office, mut film) = (None, None);
     if let Some(page) = &config.page {
         let config_name = config_file.file_stem().map(|stem| stem.to_string_lossy().into_owned());
@@ -301,8 +304,56 @@ fn opened(
     }
     let published = feed.clone();
     let keeper = StateKeeper::open(config.clone(), state, name).map_err(|error| chain(&error))?;
-    let keeper = keeper.published(Box::new(move |status| published.status(status)));
+    let publish = move |status: &Status| {
+        published.status(status);
+        told(status);
+    };
+    let keeper = keeper.published(Box::new(publish), remarks);
     Ok(Opened { keeper, orders: join(orders.with_office(office)), feed, film })
+}
+
+/// Is given each status for the cell's fleet; must not block.
+type Told = Box<dyn Fn(&Status) + Send>;
+
+/// The cell's part in its fleet, on a thread of its own; without `fleet:` there is none.
+#[cfg(feature = "fleet")]
+fn fleet(
+    config: &CellConfig,
+    state: &StateFolder,
+    feed: &Feed,
+    desk: &Desk,
+    remarks: &Remarks,
+    stop: &Arc<AtomicBool>,
+) -> Result<Told, String> {
+    let Some(section) = &config.fleet else { return Ok(Box::new(|_| {})) };
+    let daemon = crate::fleet::start::Daemon {
+        config: config.clone(),
+        state: state.clone(),
+        feed: feed.clone(),
+        desk: desk.clone(),
+        remarks: remarks.clone(),
+    };
+    let statuses = crate::fleet::start::start(section, daemon, stop.clone())?;
+    Ok(Box::new(move |status| statuses.written(status)))
+}
+
+#[cfg(not(feature = "fleet"))]
+fn fleet(
+    config: &CellConfig,
+    _state: &StateFolder,
+    _feed: &Feed,
+    _desk: &Desk,
+    _remarks: &Remarks,
+    _stop: &Arc<AtomicBool>,
+) -> Result<Told, String> {
+    match config.fleet {
+        None => Ok(Box::new(|_| {})),
+        Some(_) => {
+            Err("the configuration has `fleet:`, and this celld was built without the feature `fleet`; \
+                        build it with `cargo build --release --features fleet`"
+                .to_string())
+        }
+    }
 }
 
 fn identities(arm: &Arm, measured: &Measured) -> Identities {

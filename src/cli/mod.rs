@@ -18,6 +18,8 @@ pub mod daemon;
 pub mod demo;
 pub mod detect;
 pub mod doctor;
+#[cfg(feature = "fleet")]
+pub mod fleet;
 pub mod generate;
 pub mod history;
 pub mod interrupt;
@@ -94,6 +96,10 @@ enum Command {
     /// Measure, print a table, draw figures
     #[command(subcommand)]
     Bench(Bench),
+    /// Many cells, one queue: submit, look, agree, cancel
+    #[cfg(feature = "fleet")]
+    #[command(subcommand)]
+    Fleet(fleet::FleetCommand),
     #[command(flatten)]
     Client(jobs::ClientCommand),
 }
@@ -152,6 +158,8 @@ pub fn main() -> ExitCode {
         Command::Bench(Bench::Rtde(args)) => bench_rtde::run(&args),
         Command::Bench(Bench::Motion(args)) => bench_motion::run(&args),
         Command::Bench(Bench::Loop(args)) => bench_loop::run(&args),
+        #[cfg(feature = "fleet")]
+        Command::Fleet(command) => fleet::run(command, &stop),
         Command::Client(jobs::ClientCommand::Watch(args)) => watch::run(&args, &stop),
         Command::Client(command) => jobs::run(command),
     })

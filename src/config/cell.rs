@@ -7,6 +7,7 @@
 
 use crate::config::bodies::Equipment;
 pub use crate::config::camera::CameraDevice;
+use crate::config::fleet::FleetConfig;
 use crate::config::page::PageConfig;
 use crate::jobs::goal::GoalContext;
 use crate::jobs::journal::old::HistoryLimits;
@@ -86,6 +87,8 @@ pub struct CellConfig {
     pub equipment: Equipment,
     /// Present when the daemon serves a page.
     pub page: Option<PageConfig>,
+    /// Present when the cell is part of a fleet.
+    pub fleet: Option<FleetConfig>,
 }
 
 impl CellConfig {

@@ -7,6 +7,7 @@ pub mod camera;
 pub mod cell;
 pub mod check;
 pub mod empty;
+pub mod fleet;
 mod kept;
 pub mod load;
 pub mod page;

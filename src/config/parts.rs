@@ -9,6 +9,7 @@ use crate::config::cell::{
     CalibrationFiles, CellConfig, Devices, MotionLimits, PlannerConfig, RecordingConfig, SimulationConfig,
     Tolerances, WorkspaceConfig,
 };
+use crate::config::fleet::FleetConfig;
 use crate::config::page::PageConfig;
 use crate::jobs::journal::old::HistoryLimits;
 use cell_calibration::drawn::CameraMount;
@@ -60,6 +61,8 @@ pub(super) struct CellParts {
     pub equipment: Option<Equipment>,
     /// `Some(None)` when the key is absent.
     pub page: Option<Option<PageConfig>>,
+    /// `Some(None)` when the key is absent.
+    pub fleet: Option<Option<FleetConfig>>,
 }
 
 /// The table's keys.
@@ -107,6 +110,7 @@ impl CellParts {
             foreign: self.foreign?,
             equipment: self.equipment?,
             page: self.page?,
+            fleet: self.fleet?,
         })
     }
 }

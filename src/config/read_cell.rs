@@ -9,6 +9,7 @@ use crate::config::calibration;
 use crate::config::camera::camera_device;
 use crate::config::cell::{CellConfig, Devices, MotionLimits, PlannerConfig, SimulationConfig, Tolerances};
 use crate::config::check::check_cell;
+use crate::config::fleet::fleet;
 use crate::config::kept::{history, recording};
 use crate::config::page::page;
 use crate::config::parts::{CellParts, TableParts};
@@ -64,6 +65,7 @@ pub const CELL_KEYS: &[&str] = &[
     "foreign",
     "cell",
     "page",
+    "fleet",
 ];
 
 /// How far the camera may seem shifted or lifted, and turned, unless the file says otherwise: half of what
@@ -131,13 +133,12 @@ fn parts(
         d.integer(&at, 1..=1);
     }
     let devices = fields.required("devices", d).and_then(|at| devices(d, &at, folder));
-    let table = table(d, fields);
     let objects = fields.required("objects", d);
     let catalogue = objects.map(|at| catalogue(d, &at, folder, read_file, beside)).unwrap_or_default();
     let reference_markers = fields.required("reference_markers", d).and_then(|at| reference_markers(d, &at));
     let gripper = fields.required("gripper", d).and_then(|at| gripper(d, &at));
-    let flange_from_tool = transform(d, fields, "flange_from_tool");
-    let base_from_table = transform(d, fields, "base_from_table");
+    let [flange_from_tool, base_from_table] =
+        ["flange_from_tool", "base_from_table"].map(|key| transform(d, fields, key));
     let camera = fields.required("camera", d).and_then(|at| calibration::camera(d, &at));
     let look_poses = required_each(d, fields, "look_poses_deg", joints_deg);
     let calibration_poses = required_each(d, fields, "calibration_poses_deg", joints_deg);
@@ -149,7 +150,7 @@ fn parts(
     let (joint_range, limits) = fields.required("limits", d).map_or((None, None), |at| limits(d, &at));
     CellParts {
         devices,
-        table,
+        table: table(d, fields),
         objects: catalogue.objects,
         object_markers: catalogue.markers,
         reference_markers,
@@ -176,6 +177,7 @@ fn parts(
         foreign: optional(d, fields, "foreign", REFUSE, foreign),
         equipment: optional(d, fields, "cell", Equipment::default(), equipment),
         page: optional(d, fields, "page", None, |d, at| page(d, at, folder).map(Some)),
+        fleet: optional(d, fields, "fleet", None, |d, at| fleet(d, at, folder).map(Some)),
         history: optional(d, fields, "history", HistoryLimits::YEAR, history),
         goal_folder: optional(d, fields, "goal_folder", folder.to_owned(), |d, at| path(d, at, folder)),
     }

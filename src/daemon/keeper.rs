@@ -81,6 +81,8 @@ pub struct StateKeeper {
     pruned: Option<Timestamp>,
     /// Whoever is given each status that is written.
     publish: Publish,
+    /// What the cell's part in a fleet has to say in it.
+    remarks: status::Remarks,
 }
 
 /// Is given each status; must not block.
@@ -135,12 +137,13 @@ impl StateKeeper {
             disk,
             pruned: None,
             publish: Box::new(|_| {}),
+            remarks: status::Remarks::default(),
         })
     }
 
-    /// With somewhere else that each status goes.
-    pub fn published(self, publish: Publish) -> StateKeeper {
-        StateKeeper { publish, ..self }
+    /// With somewhere else that each status goes, and what the cell's part in a fleet has to say in it.
+    pub fn published(self, publish: Publish, remarks: status::Remarks) -> StateKeeper {
+        StateKeeper { publish, remarks, ..self }
     }
 
     /// With pictures for the folders of jobs, and for whoever reads the status: the name of the

@@ -131,6 +131,7 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
         foreign: ForeignRule::Refuse { depth_needed: true },
         equipment: Equipment::default(),
         page: None,
+        fleet: None,
     };
     let model = arm_model(&config, DhParameters::UR5E, base_from_table);
     let angle = ViewAngle {

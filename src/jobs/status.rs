@@ -8,6 +8,7 @@ use cell_edge::files::{FileError, read_regular, write_whole};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::{Arc, Mutex};
 
 /// The daemon's own words about its state.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -60,7 +61,13 @@ pub struct Status {
     pub unread: u32,
     /// Robot, gripper, camera and what each is doing.
     pub devices: Vec<DeviceStatus>,
+    /// What is wrong with the cell's part in its fleet, a sentence each.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub fleet: Vec<String>,
 }
+
+/// What another thread has to say in the status, as it is now.
+pub type Remarks = Arc<Mutex<Vec<String>>>;
 
 /// A stop that is still to be left.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -185,6 +192,7 @@ impl Status {
         for device in &self.devices {
             lines.push(format!("  {}", device.text()));
         }
+        lines.extend(self.fleet.iter().map(|sentence| format!("  fleet: {sentence}")));
         lines.join("\n")
     }
 }
@@ -210,7 +218,8 @@ mod tests {
 
     #[test]
     fn the_page_names_every_key_of_status_and_result_and_no_other() {
-        let status = serde_json::to_value(Status::default()).unwrap();
+        let status = Status { fleet: vec!["a sentence".into()], ..Status::default() };
+        let status = serde_json::to_value(status).unwrap();
         let keys = status.as_object().unwrap().keys().cloned().collect::<BTreeSet<_>>();
         assert_eq!(keys_of("status.json"), keys);
 

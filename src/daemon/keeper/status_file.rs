@@ -57,6 +57,7 @@ impl StateKeeper {
                 hint: stop.hint.clone(),
             }),
             devices: status.devices.iter().map(|device| self.device(device)).collect(),
+            fleet: self.remarks.lock().map(|remarks| remarks.clone()).unwrap_or_default(),
         }
     }
 

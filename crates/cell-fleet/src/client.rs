@@ -1,0 +1,310 @@
+//! What a person at a terminal does with a fleet: submit, look, cancel, give away, agree.
+//!
+//! In: how to reach the server, the person's name, which is a token of every subject they publish to. Out:
+//! answers, lists, or a sentence. Nothing here decides about a job: it writes what the person wants, and the
+//! cells do it.
+
+use crate::connect::{ANSWER_WITHIN, Access, ConnectFault, connect};
+use crate::network::{entries, refusal_sentence, unix_s};
+use crate::payloads::{
+    Answer, Ask, CellState, Claim, ClaimState, Event, Job, Refusal, VERSION, Wish, decode, encode,
+};
+use crate::server::{Server, Storage, open};
+use crate::subjects::{Asked, Fleet, Key, Lane};
+use async_nats::Client as Connection;
+use async_nats::jetstream::consumer::{DeliverPolicy, pull};
+use async_nats::jetstream::message::PublishMessage;
+use futures_util::StreamExt;
+use std::collections::BTreeMap;
+use tokio::sync::mpsc;
+use tokio::time::timeout;
+
+/// Longer than a cell takes to answer an order: the arm may have to stop first.
+const ORDER_WITHIN: std::time::Duration = std::time::Duration::from_secs(20);
+
+/// A person's connection to a fleet.
+pub struct Client {
+    fleet: Fleet,
+    user: String,
+    connection: Connection,
+    server: Server,
+}
+
+/// A cell with the age of its state.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Shown {
+    /// Its name.
+    pub name: String,
+    /// Its state.
+    pub state: CellState,
+    /// When the server stored it, s since 1970.
+    pub unix_s: f64,
+}
+
+/// What is known of one job.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Story {
+    /// Its claim, if a cell or the fleet has decided something.
+    pub claim: Option<Claim>,
+    /// The cells that refused it: epoch and reason.
+    pub refusals: BTreeMap<String, (u32, String)>,
+    /// Persons who want it cancelled.
+    pub cancelled_by: Vec<String>,
+    /// What happened, in the order of its storing.
+    pub events: Vec<Event>,
+}
+
+fn text(error: impl ToString) -> String {
+    error.to_string()
+}
+
+impl Client {
+    /// Connects, and opens what the fleet has on the server.
+    ///
+    /// # Errors
+    /// As [`connect`] and [`open`].
+    pub async fn open(
+        access: &Access,
+        fleet: Fleet,
+        user: &str,
+        storage: Storage,
+    ) -> Result<Client, ConnectFault> {
+        let (events, _) = mpsc::unbounded_channel();
+        let connection = connect(access, events).await?;
+        let server = open(&connection, &fleet, storage).await?;
+        Ok(Client { fleet, user: user.to_string(), connection, server })
+    }
+
+    /// Puts a job into a queue; false when the same one is there already.
+    ///
+    /// # Errors
+    /// It is too large or malformed, its id is in use, or the server does not take it.
+    pub async fn submit(&self, job: &Job, lane: &Lane) -> Result<bool, String> {
+        job.check().map_err(text)?;
+        let bytes = encode(job).map_err(text)?;
+        if let Some((claim, _)) = self.claim(&job.id).await? {
+            return match claim.job.sha256 == job.sha256 {
+                true => Err(format!(
+                    "job {} was submitted before and is {}; a job has one id: give it another, or see \
+                     `celld fleet why {}`",
+                    job.id,
+                    claim.state.as_str(),
+                    job.id
+                )),
+                false => Err(format!("another job has the id {}; choose another", job.id)),
+            };
+        }
+        let subject = self.fleet.job(lane, &self.user);
+        let message = PublishMessage::build().message_id(job.message_id()).payload(bytes.into());
+        let sent = async {
+            let stored = self.server.context.send_publish(subject, message).await.map_err(text)?;
+            stored.await.map_err(text)
+        };
+        match timeout(ANSWER_WITHIN, sent).await {
+            Ok(Ok(stored)) => Ok(!stored.duplicate),
+            Ok(Err(message)) => Err(refusal_sentence("the queue", &message)),
+            Err(_) => {
+                Err("the server did not answer; submit the job again, it is not taken twice".to_string())
+            }
+        }
+    }
+
+    async fn claim(&self, job: &str) -> Result<Option<(Claim, u64)>, String> {
+        let entry = self.server.claims.entry(Key::claim(job).to_string()).await.map_err(text)?;
+        let put = entry.filter(|entry| entry.operation == async_nats::jetstream::kv::Operation::Put);
+        put.map(|entry| Ok((decode::<Claim>(&entry.value).map_err(text)?, entry.revision))).transpose()
+    }
+
+    /// All cells, with the age of what is known of them.
+    ///
+    /// # Errors
+    /// What the server says.
+    pub async fn cells(&self) -> Result<Vec<Shown>, String> {
+        let mut cells = Vec::new();
+        for entry in entries(&self.server.cells, ">").await? {
+            let state = decode::<CellState>(&entry.value)
+                .unwrap_or_else(|fault| CellState { message: fault.to_string(), ..CellState::default() });
+            cells.push(Shown { unix_s: unix_s(&entry), name: entry.key, state });
+        }
+        cells.sort_by(|a, b| a.name.cmp(&b.name));
+        Ok(cells)
+    }
+
+    /// All claims, the newest last.
+    ///
+    /// # Errors
+    /// What the server says.
+    pub async fn claims(&self) -> Result<Vec<Claim>, String> {
+        let found = entries(&self.server.claims, Key::CLAIMS).await?;
+        let mut claims: Vec<Claim> =
+            found.iter().filter_map(|entry| decode::<Claim>(&entry.value).ok()).collect();
+        claims.sort_by(|a, b| a.job.submitted_unix_s.total_cmp(&b.job.submitted_unix_s));
+        Ok(claims)
+    }
+
+    /// How many jobs no cell has taken yet, by lane as the subject has it.
+    ///
+    /// # Errors
+    /// What the server says.
+    pub async fn queued(&self) -> Result<BTreeMap<String, usize>, String> {
+        let mut info = self.server.jobs.info_with_subjects(self.fleet.all_jobs()).await.map_err(text)?;
+        let mut lanes = BTreeMap::new();
+        while let Some(subject) = info.next().await {
+            let (subject, count) = subject.map_err(text)?;
+            if let Ok(read) = self.fleet.read_job(&subject) {
+                let lane = format!("{} {}", read.lane.target, read.lane.priority.as_str());
+                *lanes.entry(lane).or_default() += count;
+            }
+        }
+        Ok(lanes)
+    }
+
+    /// Everything about one job.
+    ///
+    /// # Errors
+    /// What the server says.
+    pub async fn why(&self, job: &str) -> Result<Story, String> {
+        let claim = self.claim(job).await?.map(|(claim, _)| claim);
+        let mut story =
+            Story { claim, refusals: BTreeMap::new(), cancelled_by: Vec::new(), events: Vec::new() };
+        for entry in entries(&self.server.claims, "refusal.>").await? {
+            if let Some(Key::Refusal { job: of, cell }) = Key::of(&entry.key)
+                && of == job
+                && let Ok(refusal) = decode::<Refusal>(&entry.value)
+            {
+                story.refusals.insert(cell, (refusal.epoch, refusal.reason));
+            }
+        }
+        for entry in entries(&self.server.claims, "cancel.>").await? {
+            if let Some(Key::Cancel { job: of, by }) = Key::of(&entry.key)
+                && of == job
+            {
+                story.cancelled_by.push(by);
+            }
+        }
+        let of_job = |event: &Event| event.job.as_deref() == Some(job);
+        story.events = self.events().await?.into_iter().filter(of_job).collect();
+        Ok(story)
+    }
+
+    /// All events that the server has.
+    ///
+    /// # Errors
+    /// What the server says.
+    pub async fn events(&self) -> Result<Vec<Event>, String> {
+        let mut info = self.server.events.clone();
+        let left = info.info().await.map_err(text)?.state.messages;
+        let mut found = Vec::new();
+        if left == 0 {
+            return Ok(found);
+        }
+        let mut messages = self.follow_from(DeliverPolicy::All).await?;
+        while let Ok(Some(event)) = timeout(ANSWER_WITHIN, messages.next()).await {
+            let (event, pending) = event?;
+            found.extend(event);
+            if pending == 0 {
+                break;
+            }
+        }
+        Ok(found)
+    }
+
+    /// Events as they come, from now on; with each, how many more are there already.
+    ///
+    /// # Errors
+    /// What the server says.
+    pub async fn watch(&self) -> Result<EventStream, String> {
+        self.follow_from(DeliverPolicy::New).await
+    }
+
+    async fn follow_from(&self, deliver_policy: DeliverPolicy) -> Result<EventStream, String> {
+        let config = pull::OrderedConfig { deliver_policy, ..pull::OrderedConfig::default() };
+        let consumer = self.server.events.create_consumer(config).await.map_err(text)?;
+        let messages = consumer.messages().await.map_err(text)?;
+        Ok(Box::pin(messages.map(|message| {
+            let message = message.map_err(text)?;
+            let pending = message.info().map_or(0, |info| info.pending);
+            // Of another version: not for this reader.
+            Ok((decode::<Event>(&message.payload).ok(), pending))
+        })))
+    }
+
+    /// Says that a job is not wanted any more.
+    ///
+    /// # Errors
+    /// The job is over, or the server does not take it.
+    pub async fn cancel(&self, job: &str) -> Result<String, String> {
+        let claim = self.claim(job).await?.map(|(claim, _)| claim);
+        let said = match claim.as_ref().map(|claim| claim.state) {
+            Some(ClaimState::Ended | ClaimState::Cancelled) => {
+                return Err(format!("job {job} is over already; see `celld fleet why {job}`"));
+            }
+            Some(ClaimState::Begun | ClaimState::Claimed) => {
+                let cell = claim.map(|claim| claim.cell).unwrap_or_default();
+                format!("cell {cell} has the job and gives it up after the present pick-n-place")
+            }
+            Some(ClaimState::Offered | ClaimState::Aside) | None => {
+                "no cell takes the job any more".to_string()
+            }
+        };
+        self.wish(&Key::Cancel { job: job.to_string(), by: self.user.clone() }, 0, None).await?;
+        Ok(said)
+    }
+
+    /// Takes a cell out of the fleet that does not come back: it is not waited for any more with jobs that
+    /// all others refuse. One that is there shows itself again.
+    ///
+    /// # Errors There is no such cell, or the server does not take it.
+    pub async fn forget(&self, cell: &str) -> Result<(), String> {
+        if !self.cells().await?.iter().any(|shown| shown.name == cell) {
+            return Err(format!("no cell {cell} is in the fleet"));
+        }
+        self.server.cells.delete(cell).await.map_err(text)
+    }
+
+    /// Gives a job to another cell, or to whichever takes it.
+    ///
+    /// # Errors
+    /// Nothing is known of the job, it was done, or the server does not take it.
+    pub async fn give(&self, job: &str, target: Option<String>) -> Result<Claim, String> {
+        let unknown =
+            || format!("no cell has taken job {job} yet; it waits in its queue, or there is no such job");
+        let (claim, _) = self.claim(job).await?.ok_or_else(unknown)?;
+        if claim.job.text.is_empty() {
+            return Err(format!("job {job} is {} and cannot be given", claim.state.as_str()));
+        }
+        let key = Key::Give { job: job.to_string(), by: self.user.clone() };
+        self.wish(&key, claim.job.epoch, target).await?;
+        Ok(claim)
+    }
+
+    async fn wish(&self, key: &Key, epoch: u32, target: Option<String>) -> Result<(), String> {
+        let submitted = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+        let unix_s = submitted.map_or(0.0, |since| since.as_secs_f64());
+        let bytes = encode(&Wish { version: VERSION, epoch, target, unix_s }).map_err(text)?;
+        let put = timeout(ANSWER_WITHIN, self.server.claims.put(key.to_string(), bytes.into())).await;
+        match put {
+            Ok(Ok(_)) => Ok(()),
+            Ok(Err(error)) => Err(refusal_sentence("the wish", &error.to_string())),
+            Err(_) => Err("the server did not answer; try again".to_string()),
+        }
+    }
+
+    /// Asks a cell something and waits for what it decides.
+    ///
+    /// # Errors
+    /// The cell is not there, or its answer is not readable.
+    pub async fn ask(&self, cell: &str, asked: Asked, job: &str) -> Result<Answer, String> {
+        let bytes = encode(&Ask { version: VERSION, job: job.to_string() }).map_err(text)?;
+        let subject = self.fleet.ask(cell, asked, &self.user);
+        let request = async_nats::Request::new().payload(bytes.into()).timeout(Some(ORDER_WITHIN));
+        let answer = self.connection.send_request(subject, request).await.map_err(|error| {
+            format!("cell {cell} does not answer ({error}); nothing is known of the order")
+        })?;
+        decode(&answer.payload).map_err(text)
+    }
+}
+
+/// Events, each with how many more are there already.
+pub type EventStream =
+    std::pin::Pin<Box<dyn futures_util::Stream<Item = Result<(Option<Event>, u64), String>> + Send>>;

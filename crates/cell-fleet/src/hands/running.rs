@@ -1,0 +1,80 @@
+//! A job that was begun, until the fleet knows its end.
+//!
+//! In: what the journal says, the claim as it is read now and then. Out: the next step of the hand. Pure.
+
+use super::{Hand, LOOK_EVERY, Step};
+use crate::payloads::{Claim, ClaimState, Outcome, What};
+use crate::values::{Effect, Kept, Local};
+use crate::world::World;
+
+impl Hand {
+    /// What the journal says.
+    pub fn local(&mut self, world: &mut World, state: Local) {
+        if self.step != Step::Running {
+            return;
+        }
+        match state {
+            Local::Unknown => {
+                self.go(world, Step::HandingIn);
+                world.want(Effect::HandIn(Box::new(self.entry.job.clone())));
+            }
+            Local::Open => {
+                self.order_cancel(world);
+                self.later(world, LOOK_EVERY);
+            }
+            Local::Ended(outcome) => self.ended(world, outcome),
+        }
+    }
+
+    fn ended(&mut self, world: &mut World, outcome: Outcome) {
+        let what = What::Done { outcome: outcome.clone() };
+        world.want(Effect::Tell { job: Some(self.id().to_string()), what });
+        self.entry.outcome = Some(outcome);
+        let kept = if self.given_away { Kept::Closed } else { Kept::Ended };
+        let step = if self.given_away { Step::Forgetting } else { Step::Ending };
+        self.keep(world, kept, step);
+    }
+
+    /// A job that runs here was cancelled, or given to another cell by a person.
+    fn order_cancel(&mut self, world: &mut World) {
+        let by = match self.given_away {
+            true => Some("the fleet, which gave it to another cell".to_string()),
+            false => world.cancelled_by(self.id()).map(str::to_string),
+        };
+        if let Some(by) = by.filter(|_| !self.cancel_ordered) {
+            self.cancel_ordered = true;
+            world.want(Effect::Cancel { job: self.id().to_string(), by });
+        }
+    }
+
+    /// The claim of a job that runs here was read.
+    pub(super) fn still_ours(&mut self, world: &mut World) {
+        let others =
+            |claim: &Claim| claim.job.epoch != self.entry.job.epoch || claim.cell != world.settings.cell;
+        let lost = self.claim.as_ref().is_some_and(|(claim, _)| others(claim));
+        if lost && !self.given_away {
+            self.given_away = true;
+            let message = "a person gave the job to another cell; it is given up here".to_string();
+            let what = What::Fault { code: "given_away".to_string(), message };
+            world.want(Effect::Tell { job: Some(self.id().to_string()), what });
+        }
+        self.order_cancel(world);
+    }
+
+    /// Tells the fleet how it ended.
+    pub(super) fn report(&mut self, world: &mut World) {
+        // A server that has lost what it stored is told all the same.
+        let epoch = self.entry.job.epoch;
+        let held = |claim: &Claim| claim.is_held_by(&world.settings.cell, epoch);
+        if !self.claim.as_ref().is_none_or(|(claim, _)| held(claim)) {
+            return self.forget(world);
+        }
+        let outcome = self.entry.outcome.clone();
+        let done = outcome.as_ref().is_some_and(|outcome| outcome.status == "done");
+        let mut claim = Claim { outcome, ..self.new_claim(world, ClaimState::Ended) };
+        if done {
+            claim.job.text.clear();
+        }
+        self.write(world, claim, Step::Reporting);
+    }
+}

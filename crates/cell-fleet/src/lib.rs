@@ -1,0 +1,31 @@
+//! Many robot cells, one queue: jobs, claims and events of a fleet over NATS JetStream.
+//!
+//! `subjects` and `payloads`: what goes over the wire; `asyncapi`: the same in a document. `agent`: what a
+//! cell decides, with `hands` (the jobs it has), `steward` (all jobs of the fleet), `world` (what they
+//! share) and `values` (inputs and effects); all of these are pure. `store`: the cell's database; `connect`,
+//! `server`, `link`, `pull`, `network`: NATS; `side`: the cell as its part in the fleet sees it; `run`: that
+//! part from start to end; `client`: what a person at a terminal does.
+
+pub mod agent;
+pub mod asyncapi;
+pub mod client;
+pub mod connect;
+pub mod hands;
+pub mod link;
+pub mod network;
+pub mod payloads;
+pub mod pull;
+pub mod run;
+pub mod server;
+pub mod side;
+pub mod steward;
+pub mod store;
+pub mod subjects;
+pub mod values;
+pub mod words;
+pub mod world;
+
+/// The example of the README, run by `cargo test --doc`.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct Readme;

@@ -1,0 +1,390 @@
+//! What the agent wants of the network, carried out beside its loop: each request gets an answer.
+//!
+//! In: effects. Out: inputs, also when the server is away or refuses; what a person should know of a refusal
+//! is a sentence beside it. Requests have a deadline, and nothing here waits for another.
+
+use crate::connect::ANSWER_WITHIN;
+use crate::payloads::{Answer, CellState, Claim, Event, Refusal, VERSION, What, Wish, decode, encode};
+use crate::server::Server;
+use crate::subjects::{Fleet, Key};
+use crate::values::{Found, Input, Settle, Who, Written};
+use async_nats::Subject;
+use async_nats::jetstream::kv::{CreateErrorKind, Entry, Operation, Store, UpdateErrorKind};
+use async_nats::jetstream::{AckKind, Context, Message, message::PublishMessage};
+use futures_util::StreamExt;
+use std::future::Future;
+use std::time::Duration;
+use tokio::sync::mpsc::UnboundedSender;
+use tokio::task::JoinHandle;
+use tokio::time::timeout;
+
+/// A bucket without entries has been told by silence.
+const SILENT: Duration = Duration::from_secs(2);
+
+/// What comes back from the network.
+#[derive(Debug)]
+pub enum News {
+    /// For the agent.
+    Input(Input),
+    /// An own state came back: when the server stored it, and what it said of the time, s since 1970.
+    Echo {
+        /// By the server's clock.
+        stored_unix_s: f64,
+        /// By our own, as it was sent.
+        sent_unix_s: f64,
+    },
+    /// Events were stored up to this number.
+    Delivered(u64),
+    /// No more events are on their way; why, if the last was not stored.
+    DeliveryOver(Option<String>),
+    /// Something happened to a job, for the cell's own sequence of events.
+    Happened(String, What),
+    /// Something was refused: about what, and a sentence. An empty one takes it back.
+    Complaint(&'static str, String),
+}
+
+/// The network, as long as one connection's streams are known.
+#[derive(Clone)]
+pub struct Network {
+    fleet: Fleet,
+    cell: String,
+    server: Server,
+    news: UnboundedSender<News>,
+}
+
+impl Network {
+    /// The network of a cell.
+    pub fn new(fleet: Fleet, cell: String, server: Server, news: UnboundedSender<News>) -> Network {
+        Network { fleet, cell, server, news }
+    }
+
+    fn tell(&self, news: News) {
+        // The loop has ended.
+        let _ = self.news.send(news);
+    }
+
+    fn spawn(&self, work: impl Future<Output = ()> + Send + 'static) {
+        drop(tokio::spawn(work));
+    }
+
+    /// Says about something that it goes, or why not.
+    fn said<T, E: std::fmt::Display>(&self, about: &'static str, result: &Result<T, E>) {
+        let text = result.as_ref().err().map(|error| refusal_sentence(about, &error.to_string()));
+        self.tell(News::Complaint(about, text.unwrap_or_default()));
+    }
+
+    /// To settle messages with.
+    pub fn context(&self) -> Context {
+        self.server.context.clone()
+    }
+
+    /// Answers a person.
+    pub fn reply(&self, to: Subject, answer: &Answer) {
+        let Ok(bytes) = encode(answer) else { return };
+        let client = self.server.context.client();
+        self.spawn(async move {
+            // Who asked may have gone.
+            let _ = client.publish(to, bytes.into()).await;
+        });
+    }
+
+    /// Reads a claim.
+    pub fn read(&self, job: String) {
+        let this = self.clone();
+        self.spawn(async move {
+            let found = timeout(ANSWER_WITHIN, this.server.claims.entry(Key::claim(&job).to_string())).await;
+            let found = match found {
+                Ok(Ok(entry)) => claim_of(entry),
+                Ok(Err(_)) | Err(_) => Err(()),
+            };
+            this.tell(News::Input(Input::Read { job, found }));
+        });
+    }
+
+    /// Writes a claim over a revision, or where there is none.
+    pub fn write(&self, who: Who, claim: Box<Claim>, over: Option<u64>) {
+        let this = self.clone();
+        self.spawn(async move {
+            let job = claim.job.id.clone();
+            let (outcome, fault) = this.set(&claim, over).await;
+            this.tell(News::Complaint("claims", fault.unwrap_or_default()));
+            this.tell(News::Input(Input::Written { who, job, outcome }));
+        });
+    }
+
+    async fn set(&self, claim: &Claim, over: Option<u64>) -> (Written, Option<String>) {
+        let bytes = match encode(claim) {
+            Ok(bytes) => bytes::Bytes::from(bytes),
+            Err(fault) => return (Written::Unknown, Some(fault.to_string())),
+        };
+        let key = Key::claim(&claim.job.id).to_string();
+        let claims = &self.server.claims;
+        let refused = |text: String| (Written::Unknown, Some(refusal_sentence("claims", &text)));
+        match over {
+            Some(revision) => match timeout(ANSWER_WITHIN, claims.update(key, bytes, revision)).await {
+                Ok(Ok(revision)) => (Written::Done(revision), None),
+                Ok(Err(error)) if error.kind() == UpdateErrorKind::WrongLastRevision => {
+                    (Written::Conflict, None)
+                }
+                Ok(Err(error)) => refused(error.to_string()),
+                Err(_) => (Written::Unknown, None),
+            },
+            None => match timeout(ANSWER_WITHIN, claims.create(key, bytes)).await {
+                Ok(Ok(revision)) => (Written::Done(revision), None),
+                Ok(Err(error)) if error.kind() == CreateErrorKind::AlreadyExists => (Written::Conflict, None),
+                Ok(Err(error)) => refused(error.to_string()),
+                Err(_) => (Written::Unknown, None),
+            },
+        }
+    }
+
+    /// Settles a message.
+    pub fn settle(&self, message: &Message, how: &Settle) {
+        let kind = match how {
+            Settle::Done => AckKind::Ack,
+            Settle::Back(after) if after.is_zero() => AckKind::Nak(None),
+            Settle::Back(after) => AckKind::Nak(Some(*after)),
+            Settle::Progress => AckKind::Progress,
+        };
+        let (context, message) = (message.context.clone(), message.message.clone());
+        self.spawn(async move {
+            // Lost: the message comes again, which does no harm.
+            let _ = Message { message, context }.ack_with(kind).await;
+        });
+    }
+
+    /// Puts a job into its queue.
+    pub fn publish(&self, claim: &Claim) {
+        let job = claim.job.id.clone();
+        let (Some(lane), Ok(bytes)) = (claim.lane(), encode(&claim.job)) else {
+            return self.tell(News::Input(Input::Published { job, stored: false }));
+        };
+        let (subject, id) = (self.fleet.job(&lane, &claim.by), claim.job.message_id());
+        let this = self.clone();
+        self.spawn(async move {
+            let result = this.store(subject, &id, bytes).await;
+            this.said("queue", &result);
+            this.tell(News::Input(Input::Published { job, stored: result.is_ok() }));
+        });
+    }
+
+    async fn store(&self, subject: String, id: &str, bytes: Vec<u8>) -> Result<(), String> {
+        let message = PublishMessage::build().message_id(id).payload(bytes.into());
+        let sent = timeout(ANSWER_WITHIN, async {
+            let stored = self.server.context.send_publish(subject, message).await;
+            stored.map_err(|error| error.to_string())?.await.map_err(|error| error.to_string())
+        });
+        match sent.await {
+            Ok(result) => result.map(drop),
+            Err(_) => Err("no answer in time".to_string()),
+        }
+    }
+
+    /// Notes a refusal, or takes it back.
+    pub fn refuse(&self, job: String, refusal: Option<(u32, String)>, unix_s: f64) {
+        let key = Key::Refusal { job, cell: self.cell.clone() }.to_string();
+        let this = self.clone();
+        self.spawn(async move {
+            let Some((epoch, reason)) = refusal else {
+                let _ = timeout(ANSWER_WITHIN, this.server.claims.delete(key)).await;
+                return;
+            };
+            let Ok(bytes) = encode(&Refusal { version: VERSION, epoch, reason, unix_s }) else { return };
+            // Lost: the job comes again, and is refused again.
+            let _ = timeout(ANSWER_WITHIN, this.server.claims.put(key, bytes.into())).await;
+        });
+    }
+
+    /// Removes a key.
+    pub fn remove(&self, key: Key) {
+        let this = self.clone();
+        self.spawn(async move {
+            let _ = timeout(ANSWER_WITHIN, this.server.claims.delete(key.to_string())).await;
+        });
+    }
+
+    /// Shows the cell's state.
+    pub fn show(&self, state: &CellState) {
+        let Ok(bytes) = encode(state) else { return };
+        let this = self.clone();
+        self.spawn(async move {
+            let put = timeout(ANSWER_WITHIN, this.server.cells.put(&this.cell, bytes.into())).await;
+            if let Ok(result) = put {
+                this.said("cells", &result);
+            }
+        });
+    }
+
+    /// Stores events one after the other, in their order.
+    pub fn deliver(&self, events: Vec<Event>) {
+        let this = self.clone();
+        self.spawn(async move {
+            for event in events {
+                let subject = this.fleet.event(&event.cell, event.what.kind());
+                let stored = match encode(&event) {
+                    Ok(bytes) => this.store(subject, &event.message_id(), bytes).await,
+                    Err(fault) => Err(fault.to_string()),
+                };
+                match stored {
+                    Ok(()) => this.tell(News::Delivered(event.number)),
+                    Err(message) => {
+                        let sentence = refusal_sentence("events", &message);
+                        return this.tell(News::DeliveryOver(Some(sentence)));
+                    }
+                }
+            }
+            this.tell(News::DeliveryOver(None));
+        });
+    }
+
+    /// Follows refusals, wishes and the cells from now on.
+    pub fn watch(&self) -> [JoinHandle<()>; 2] {
+        let (keys, cells) = (self.clone(), self.clone());
+        [
+            tokio::spawn(async move {
+                let Ok(mut watch) = keys.server.claims.watch_many_with_history(Key::WATCHED).await else {
+                    return;
+                };
+                while let Some(entry) = watch.next().await {
+                    if let Some(input) = entry.ok().and_then(key_input) {
+                        keys.tell(News::Input(input));
+                    }
+                }
+            }),
+            tokio::spawn(async move {
+                let Ok(mut watch) = cells.server.cells.watch_with_history(">").await else { return };
+                while let Some(entry) = watch.next().await {
+                    if let Ok(entry) = entry {
+                        cells.cell(entry);
+                    }
+                }
+            }),
+        ]
+    }
+
+    fn cell(&self, entry: Entry) {
+        let unix_s = unix_s(&entry);
+        let state = match entry.operation {
+            // A state of another version is of a cell all the same.
+            Operation::Put => Some(decode::<CellState>(&entry.value).unwrap_or_default()),
+            Operation::Delete | Operation::Purge => None,
+        };
+        if let Some(state) = state.as_ref().filter(|_| entry.key == self.cell) {
+            self.tell(News::Echo { stored_unix_s: unix_s, sent_unix_s: state.unix_s });
+        }
+        self.tell(News::Input(Input::Cell { name: entry.key, state: state.map(Box::new), unix_s }));
+    }
+
+    /// Follows all claims from now on.
+    pub fn follow(&self) -> JoinHandle<()> {
+        let this = self.clone();
+        tokio::spawn(async move {
+            let Ok(mut watch) = this.server.claims.watch_with_history(Key::CLAIMS).await else { return };
+            let mut known = false;
+            loop {
+                let next = match known {
+                    true => Ok(watch.next().await),
+                    false => timeout(SILENT, watch.next()).await,
+                };
+                let last = match next {
+                    Ok(None) => return,
+                    Ok(Some(Err(_))) => false,
+                    Ok(Some(Ok(entry))) => {
+                        let (last, unix_s) = (entry.delta == 0, unix_s(&entry));
+                        if let Ok(Some((claim, revision))) = claim_of(Some(entry)) {
+                            this.tell(News::Input(Input::Claim { claim, revision, unix_s }));
+                        }
+                        last
+                    }
+                    Err(_) => true,
+                };
+                if last && !known {
+                    known = true;
+                    this.tell(News::Input(Input::ClaimsKnown));
+                }
+            }
+        })
+    }
+}
+
+/// When the server stored an entry, s since 1970.
+pub fn unix_s(entry: &Entry) -> f64 {
+    entry.created.unix_timestamp_nanos() as f64 / 1e9
+}
+
+/// The claim in an entry; none where it was deleted.
+fn claim_of(entry: Option<Entry>) -> Found {
+    match entry {
+        Some(entry) if entry.operation == Operation::Put => {
+            let claim = decode::<Claim>(&entry.value).map_err(|_| ())?;
+            Ok(Some((Box::new(claim), entry.revision)))
+        }
+        _ => Ok(None),
+    }
+}
+
+/// What an entry under a watched key says.
+fn key_input(entry: Entry) -> Option<Input> {
+    let put = entry.operation == Operation::Put;
+    Some(match Key::of(&entry.key)? {
+        Key::Claim { .. } => return None,
+        Key::Refusal { job, cell } => {
+            let refusal = decode::<Refusal>(&entry.value).ok().filter(|_| put);
+            Input::Refused { job, cell, refusal: refusal.map(|refusal| (refusal.epoch, refusal.reason)) }
+        }
+        key => Input::Wish { key, wish: decode::<Wish>(&entry.value).ok().filter(|_| put) },
+    })
+}
+
+/// All entries of a bucket under a pattern.
+///
+/// # Errors
+/// What the server says.
+pub async fn entries(store: &Store, pattern: &str) -> Result<Vec<Entry>, String> {
+    let mut watch = store.watch_with_history(pattern).await.map_err(|error| error.to_string())?;
+    let mut found = Vec::new();
+    while let Ok(Some(entry)) = timeout(SILENT, watch.next()).await {
+        let entry = entry.map_err(|error| error.to_string())?;
+        let last = entry.delta == 0;
+        if entry.operation == Operation::Put {
+            found.push(entry);
+        }
+        if last {
+            break;
+        }
+    }
+    Ok(found)
+}
+
+/// A refusal of the server in words that say what to do.
+pub fn refusal_sentence(about: &str, text: &str) -> String {
+    let lower = text.to_lowercase();
+    let full =
+        ["maximum bytes", "maximum messages", "insufficient storage", "resources exceeded", "no space"];
+    if full.iter().any(|words| lower.contains(words)) {
+        return format!(
+            "the server has no room left for {about} ({text}); enlarge the stream or let cells work jobs off, \
+             nothing that was accepted is lost"
+        );
+    }
+    if lower.contains("permission") {
+        return format!(
+            "the server's permissions do not let this user write {about} ({text}); see docs/fleet.md"
+        );
+    }
+    format!("the server did not take {about}: {text}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_stream_says_what_to_do() {
+        let text = refusal_sentence("queue", "publish failed: maximum bytes exceeded");
+        assert!(
+            text.contains("no room left for queue") && text.contains("nothing that was accepted is lost")
+        );
+        assert!(refusal_sentence("claims", "timed out").starts_with("the server did not take claims"));
+    }
+}

@@ -1,0 +1,70 @@
+//! The cell as its part in the fleet sees it, and what the configuration says of that part.
+//!
+//! In and out: what [`crate::run`] asks of the daemon: state, events, the journal, the spool, orders.
+//! Nothing of it arms, resumes, recovers or releases.
+
+use crate::connect::Access;
+use crate::payloads::{CellState, Job, What};
+use crate::server::Storage;
+use crate::store::Limits;
+use crate::subjects::{Asked, Fleet};
+use crate::values::Local;
+use std::path::PathBuf;
+use tokio::sync::oneshot;
+
+/// What an order is answered with, later.
+pub type Ordered = oneshot::Receiver<(bool, String)>;
+
+/// The cell, as its part in the fleet sees it. All of it is what other clients of the daemon have too.
+pub trait CellSide: Send {
+    /// The cell's state; what only the fleet knows is filled in later.
+    fn state(&mut self) -> CellState;
+
+    /// What has happened since the last call: the job it is about, what, and when, s since 1970.
+    fn events(&mut self) -> Vec<(Option<String>, What, f64)>;
+
+    /// Whether the cell can do a job.
+    ///
+    /// # Errors
+    /// Why not.
+    fn judge(&mut self, job: &Job) -> Result<(), String>;
+
+    /// Puts a job into the spool, under its id.
+    ///
+    /// # Errors
+    /// What the disk says.
+    fn hand_in(&mut self, job: &Job) -> Result<(), String>;
+
+    /// What the journal says of a job.
+    ///
+    /// # Errors
+    /// It cannot be read.
+    fn look(&mut self, job: &str) -> Result<Local, String>;
+
+    /// Gives an order in the name of a person; the answer comes after it was decided.
+    fn order(&mut self, asked: Asked, job: &str, by: &str) -> Ordered;
+
+    /// What is wrong with the cell's part in the fleet, for its own log and status; empty when nothing is.
+    fn complaints(&mut self, complaints: &[String]);
+}
+
+/// What the configuration says.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// The fleet.
+    pub fleet: Fleet,
+    /// This cell's name.
+    pub cell: String,
+    /// Its labels.
+    pub labels: Vec<String>,
+    /// The server.
+    pub access: Access,
+    /// What is made there if it is missing.
+    pub storage: Storage,
+    /// The own database.
+    pub database: PathBuf,
+    /// Names the events of a new database.
+    pub series: String,
+    /// How much waits for the network.
+    pub limits: Limits,
+}

@@ -1,0 +1,183 @@
+//! What a cell knows of its fleet, and the list of what is to be done: shared by the parts that decide.
+//!
+//! In: the states of the cells, refusals, what persons want. Out: who serves a job, who is away, who looks
+//! after all. Pure.
+
+use crate::payloads::{CellState, Wish};
+use crate::subjects::{Key, Target};
+use crate::values::{At, Effect};
+use cell_values::time::{Duration, Timestamp};
+use std::collections::{BTreeMap, VecDeque};
+
+/// The cell, and how patient it is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// Its name.
+    pub cell: String,
+    /// Its labels.
+    pub labels: Vec<String>,
+    /// A claim that is not begun goes back after so long.
+    pub hold: Duration,
+    /// A cell that was silent for so long is away: what it had not begun goes to others, what it had begun
+    /// is stranded.
+    pub away: Duration,
+    /// A message that is not settled goes to another cell after so long.
+    pub ack_wait: Duration,
+}
+
+impl Settings {
+    /// The usual figures.
+    pub fn new(cell: &str, labels: &[String]) -> Settings {
+        Settings {
+            cell: cell.to_string(),
+            labels: labels.to_vec(),
+            hold: Duration::from_secs(60),
+            away: Duration::from_secs(60),
+            ack_wait: Duration::from_secs(30),
+        }
+    }
+}
+
+/// A cell as it was heard of last.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Member {
+    /// Its state.
+    pub state: CellState,
+    /// When it was written, by the server's clock.
+    pub unix_s: f64,
+}
+
+/// What is known. See the module.
+pub struct World {
+    /// The own cell.
+    pub settings: Settings,
+    /// The present moment.
+    pub at: At,
+    /// The server answers.
+    pub connected: bool,
+    /// Armed, and nothing to do.
+    pub ready: bool,
+    /// The cells of the fleet, this one included once its state came back.
+    pub members: BTreeMap<String, Member>,
+    /// Refusals by job and cell: epoch and reason.
+    pub refusals: BTreeMap<String, BTreeMap<String, (u32, String)>>,
+    /// What persons want, by key.
+    pub wishes: BTreeMap<Key, Wish>,
+    /// What is to be done.
+    pub effects: VecDeque<Effect>,
+}
+
+impl World {
+    /// Nothing known yet.
+    pub fn new(settings: Settings) -> World {
+        World {
+            settings,
+            at: At { now: Timestamp::ZERO, unix_s: 0.0 },
+            connected: false,
+            ready: false,
+            members: BTreeMap::new(),
+            refusals: BTreeMap::new(),
+            wishes: BTreeMap::new(),
+            effects: VecDeque::new(),
+        }
+    }
+
+    /// Wants something done.
+    pub fn want(&mut self, effect: Effect) {
+        self.effects.push_back(effect);
+    }
+
+    /// A person who does not want the job.
+    pub fn cancelled_by(&self, job: &str) -> Option<&str> {
+        self.wishes.keys().find_map(|key| match key {
+            Key::Cancel { job: of, by } if of == job => Some(by.as_str()),
+            _ => None,
+        })
+    }
+
+    /// Notes a refusal, or that it was taken back.
+    pub fn refused(&mut self, job: &str, cell: &str, refusal: Option<(u32, String)>) {
+        let of_job = self.refusals.entry(job.to_string()).or_default();
+        match refusal {
+            Some(refusal) => of_job.insert(cell.to_string(), refusal),
+            None => of_job.remove(cell),
+        };
+        if of_job.is_empty() {
+            self.refusals.remove(job);
+        }
+    }
+
+    /// Each cell's reason, when all that serve the target have refused the job in this epoch. A cell that is
+    /// away and has not refused might do it when it is back.
+    pub fn all_refused(&self, job: &str, epoch: u32, target: &Target) -> Option<BTreeMap<String, String>> {
+        let refusals = self.refusals.get(job)?;
+        let settings = &self.settings;
+        let own = target.includes(&settings.cell, &settings.labels).then_some(settings.cell.as_str());
+        let serving =
+            self.members.iter().filter(|(name, member)| target.includes(name, &member.state.labels));
+        let mut reasons = BTreeMap::new();
+        for cell in serving.map(|(name, _)| name.as_str()).chain(own) {
+            let (of, reason) = refusals.get(cell)?;
+            if *of != epoch {
+                return None;
+            }
+            reasons.insert(cell.to_string(), reason.clone());
+        }
+        (!reasons.is_empty()).then_some(reasons)
+    }
+
+    /// A cell that was not heard of for long.
+    pub fn is_away(&self, cell: &str) -> bool {
+        let limit = self.settings.away.as_secs_f64();
+        self.members.get(cell).is_none_or(|member| self.at.unix_s - member.unix_s > limit)
+    }
+
+    /// This cell looks after all jobs: of the cells that are not away it has the first name. Two that
+    /// believe this of themselves do no harm, since all they write is compared and set.
+    pub fn is_steward(&self) -> bool {
+        let own = &self.settings.cell;
+        self.connected && !self.members.keys().any(|name| name < own && !self.is_away(name))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn world(cells: &[(&str, &[&str], f64)]) -> World {
+        let mut world = World::new(Settings::new("b", &["line-a".to_string()]));
+        world.at.unix_s = 1000.0;
+        world.connected = true;
+        for (name, labels, unix_s) in cells {
+            let labels = labels.iter().map(|label| label.to_string()).collect();
+            let state = CellState { labels, ..CellState::default() };
+            world.members.insert(name.to_string(), Member { state, unix_s: *unix_s });
+        }
+        world
+    }
+
+    #[test]
+    fn a_job_is_refused_by_all_when_each_cell_that_serves_it_has_refused_this_epoch() {
+        let mut world = world(&[("a", &["line-a"], 990.0), ("b", &["line-a"], 990.0), ("c", &[], 10.0)]);
+        let refused = |epoch: u32| Some((epoch, "no such object".to_string()));
+        let of_line = Target::Label("line-a".into());
+        world.refused("tidy", "b", refused(1));
+        assert_eq!(world.all_refused("tidy", 1, &of_line), None);
+        world.refused("tidy", "a", refused(1));
+        assert_eq!(world.all_refused("tidy", 1, &of_line).unwrap().len(), 2);
+        assert_eq!(world.all_refused("tidy", 2, &of_line), None, "given anew, asked anew");
+        assert_eq!(world.all_refused("tidy", 1, &Target::any()), None, "c is away and may do it");
+        world.refused("tidy", "a", None);
+        assert_eq!(world.all_refused("tidy", 1, &of_line), None, "taken back");
+    }
+
+    #[test]
+    fn the_first_cell_that_is_not_away_is_the_steward() {
+        assert!(!world(&[("a", &[], 999.0)]).is_steward());
+        assert!(world(&[("a", &[], 900.0), ("c", &[], 999.0)]).is_steward());
+        let mut alone = world(&[]);
+        assert!(alone.is_steward());
+        alone.connected = false;
+        assert!(!alone.is_steward());
+    }
+}

@@ -1,0 +1,110 @@
+//! What goes wrong in a fleet in virtual time, and what a person does about it.
+//!
+//! In: a plan of troubles, the seed. Out: crashes, cuts, disarming, cancellations, at times of their own.
+
+use super::{Happening, World};
+use cell_fleet::payloads::{Claim, ClaimState, VERSION, Wish};
+use cell_fleet::subjects::Key;
+use cell_fleet::values::Input;
+use rand::RngExt;
+use std::collections::BTreeSet;
+
+impl World {
+    /// The troubles of the first ten minutes.
+    pub(super) fn schedule(&mut self) {
+        let plan = self.plan;
+        for cell in 0..plan.cells {
+            self.at(1, Happening::Start(cell));
+        }
+        for job in 0..plan.jobs {
+            let ms = self.between(1, 300_000);
+            self.at(ms, Happening::Submit(job));
+        }
+        let some = |world: &mut World| world.rng.random_range(0..plan.cells);
+        for index in 0..plan.crashes {
+            let (cell, ms) = (some(self), self.between(1000, 600_000));
+            self.at(ms, Happening::Crash(cell));
+            if index >= plan.dead {
+                let back = ms + self.between(100, 120_000);
+                self.at(back, Happening::Start(cell));
+            }
+        }
+        for _ in 0..plan.server_crashes {
+            let ms = self.between(1000, 600_000);
+            self.at(ms, Happening::ServerDown);
+            let up = ms + self.between(100, 30_000);
+            self.at(up, Happening::ServerUp);
+        }
+        for _ in 0..plan.cuts {
+            let (cell, ms) = (some(self), self.between(1000, 600_000));
+            self.at(ms, Happening::Cut(cell));
+            let joined = ms + self.between(100, 180_000);
+            self.at(joined, Happening::Join(cell));
+        }
+        for _ in 0..plan.disarms {
+            let (cell, ms) = (some(self), self.between(1000, 600_000));
+            self.at(ms, Happening::Arm(cell, false));
+            let armed = ms + self.between(100, 200_000);
+            self.at(armed, Happening::Arm(cell, true));
+        }
+        for _ in 0..plan.cancels {
+            let (job, ms) = (self.rng.random_range(0..plan.jobs), self.between(1, 400_000));
+            let key = Key::Cancel { job: format!("job-{job}"), by: "anna".into() };
+            self.at(ms, Happening::Wished(key, wish(0)));
+        }
+        self.at(1, Happening::Deliver);
+    }
+
+    pub(super) fn trouble(&mut self, trouble: Happening) {
+        match trouble {
+            Happening::Crash(cell) => {
+                self.disconnect(cell);
+                self.cells[cell].agent = None;
+                self.cells[cell].process += 1;
+            }
+            Happening::Start(cell) if self.cells[cell].agent.is_none() => self.start(cell),
+            Happening::Cut(cell) => self.disconnect(cell),
+            Happening::Join(cell) => self.connect(cell),
+            Happening::ServerDown => {
+                self.up = false;
+                (0..self.cells.len()).for_each(|cell| self.disconnect(cell));
+            }
+            Happening::ServerUp => {
+                self.up = true;
+                (0..self.cells.len()).for_each(|cell| self.connect(cell));
+            }
+            Happening::Arm(cell, armed) => {
+                self.cells[cell].armed = armed;
+                self.state(cell);
+            }
+            _ => {}
+        }
+    }
+
+    /// A person gives away what a cell has begun that does not come back.
+    pub(super) fn give_stranded(&mut self) {
+        let dead: BTreeSet<String> =
+            self.cells.iter().filter(|cell| cell.dead).map(|cell| cell.name.clone()).collect();
+        let begun = |claim: &Claim| claim.state == ClaimState::Begun && dead.contains(&claim.cell);
+        let stranded: Vec<(String, u32)> = self
+            .claims
+            .values()
+            .filter(|(claim, ..)| begun(claim))
+            .map(|(claim, ..)| (claim.job.id.clone(), claim.job.epoch))
+            .collect();
+        // And takes that cell out of the fleet: it is not waited for with jobs that all others refuse.
+        for name in &dead {
+            if self.states.remove(name).is_some() {
+                self.broadcast(&Input::Cell { name: name.clone(), state: None, unix_s: 0.0 });
+            }
+        }
+        for (job, epoch) in stranded {
+            self.given.insert(job.clone());
+            self.happen(Happening::Wished(Key::Give { job, by: "anna".into() }, wish(epoch)));
+        }
+    }
+}
+
+fn wish(epoch: u32) -> Wish {
+    Wish { version: VERSION, epoch, target: None, unix_s: 0.0 }
+}

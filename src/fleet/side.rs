@@ -1,0 +1,250 @@
+//! The cell as its part in the fleet sees it, through what exists: status, journal, spool, orders.
+//!
+//! In: each status as it is written, the feed of sights and trends, the journal, read as any other process
+//! reads it. Out: state and events for the fleet; jobs in `incoming`; orders by the page's desk. Reading a
+//! job, and whether the arm reaches its goals, are computed here, on the fleet's own thread.
+
+use crate::config::cell::CellConfig;
+use crate::daemon::job_orders::{found_by, job_context};
+use crate::fleet::told::{decided, events, local, rejected, state_of};
+use crate::jobs::goal::read_goal_file;
+use crate::jobs::job_file::read_job;
+use crate::jobs::journal::Journal;
+use crate::jobs::record::JobSpec;
+use crate::jobs::state::StateFolder;
+use crate::jobs::status::{Remarks, Status};
+use crate::jobs::submit::{Handed, hand_in, prepare};
+use crate::page::feed::Feed;
+use crate::page::orders::Desk;
+use cell_edge::clock::unix_now_s;
+use cell_fleet::payloads::{CellState, Job, What};
+use cell_fleet::side::{CellSide, Ordered};
+use cell_fleet::subjects::Asked;
+use cell_fleet::values::Local;
+use cell_machine::orders::{Order, Reply};
+use cell_motion::reach::reaches;
+use rearrange::document::chain::chain;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::sync::mpsc::Receiver;
+use tokio::sync::oneshot;
+
+/// A status, and when it was written, s since 1970.
+pub type Written = (Status, f64);
+
+/// See the module.
+pub struct Side {
+    config: CellConfig,
+    state: StateFolder,
+    feed: Feed,
+    desk: Desk,
+    statuses: Receiver<Written>,
+    /// What the status says of the fleet.
+    remarks: Remarks,
+    last: Status,
+    /// When the sight that was told last was made.
+    seen_unix_s: f64,
+    /// Files that were put into `incoming`, by job.
+    handed: BTreeMap<String, Handed>,
+    /// Jobs that were decided about from afar: told already.
+    decided_afar: BTreeSet<String>,
+    pending: Vec<(Option<String>, What, f64)>,
+}
+
+impl Side {
+    /// With the statuses that the keeper writes.
+    pub fn new(
+        config: CellConfig,
+        state: StateFolder,
+        feed: Feed,
+        desk: Desk,
+        statuses: Receiver<Written>,
+        remarks: Remarks,
+    ) -> Side {
+        Side {
+            config,
+            state,
+            feed,
+            desk,
+            statuses,
+            remarks,
+            last: Status::default(),
+            seen_unix_s: 0.0,
+            handed: BTreeMap::new(),
+            decided_afar: BTreeSet::new(),
+            pending: Vec::new(),
+        }
+    }
+
+    /// Takes in what was written since the last look.
+    fn follow(&mut self) {
+        while let Ok((status, unix_s)) = self.statuses.try_recv() {
+            for (job, what) in events(&self.last, &status) {
+                self.pending.push((job, what, unix_s));
+            }
+            for job in decided(&self.last, &status) {
+                self.decided(&job, unix_s);
+            }
+            self.last = status;
+        }
+        let Some((seen, unix_s)) = self.feed.last_sight() else { return };
+        if unix_s > self.seen_unix_s {
+            self.seen_unix_s = unix_s;
+            let objects = u32::try_from(seen.objects.len()).unwrap_or(u32::MAX);
+            let residual_mm = seen.reference_residual_m.map(|residual| residual * 1e3);
+            self.pending.push((self.last.job.clone(), What::Looked { objects, residual_mm }, unix_s));
+        }
+    }
+
+    /// A person at the cell has decided about a plan.
+    fn decided(&mut self, job: &str, unix_s: f64) {
+        if self.decided_afar.remove(job) {
+            return;
+        }
+        let record = self.journal().ok().flatten().and_then(|journal| journal.job(job).ok().flatten());
+        let Some(record) = record else { return };
+        let what =
+            What::Approved { by: "a person at the cell".to_string(), agreed: record.approved.is_some() };
+        self.pending.push((Some(job.to_string()), what, unix_s));
+    }
+
+    fn journal(&self) -> Result<Option<Journal>, String> {
+        let path = self.state.journal();
+        if !path.exists() {
+            return Ok(None);
+        }
+        Journal::open_to_read(&path).map(Some).map_err(|error| chain(&error))
+    }
+
+    fn read(&self, job: &Job) -> Result<JobSpec, String> {
+        let obstacles = self.config.obstacles();
+        let read_goal = |name: &str| read_goal_file(&self.config.goal_folder, name);
+        let journal = self.state.journal();
+        let found = |id: &str| found_by(&journal, id);
+        let context = job_context(&self.config, &obstacles, &read_goal, &found);
+        read_job(&job.text, &job.id, &context).map_err(|complaints| complaints.to_string())
+    }
+
+    /// The first goal that the arm does not reach with the object's grip.
+    fn out_of_reach(&self, spec: &JobSpec) -> Option<String> {
+        let cell = self.feed.cell()?;
+        let model = &cell.model;
+        spec.goal.iter().find_map(|goal| {
+            let object = model.object(&goal.id)?;
+            let task = object.pick_n_place(goal.pose, goal.pose);
+            let fault = reaches(&model.arm, &task, &goal.pose, &model.cycle).err()?;
+            Some(format!("{} cannot be put at its goal: {fault}", goal.id))
+        })
+    }
+}
+
+/// The file that a job of the fleet has in `incoming`, if it is still there: from before a restart.
+fn waiting_file(state: &StateFolder, job: &Job) -> Option<String> {
+    let end = format!("-{}-{}.yaml", stem(&job.id), job.sha256.get(..8).unwrap_or_default());
+    let names = std::fs::read_dir(state.incoming()).ok()?.flatten();
+    names.filter_map(|entry| entry.file_name().into_string().ok()).find(|name| name.ends_with(&end))
+}
+
+/// A job's id in the name of its file, as `jobs/submit` writes it.
+fn stem(id: &str) -> String {
+    let plain = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' };
+    id.chars().map(plain).take(30).collect()
+}
+
+fn order_of(asked: Asked, job: &str) -> Order {
+    match asked {
+        Asked::Approve => Order::Approve(job.to_string()),
+        Asked::Reject => Order::Reject(job.to_string()),
+        Asked::Cancel => Order::Cancel(job.to_string()),
+    }
+}
+
+impl CellSide for Side {
+    fn state(&mut self) -> CellState {
+        self.follow();
+        let mut state = state_of(self.feed.last_status().as_deref());
+        let trends = self.feed.trends();
+        state.vacuum_percent = trends.vacuum_percent.back().map(|(_, percent)| *percent);
+        state.drift_mm = trends.reference_residual_mm.back().map(|(_, mm)| (mm * 1e3).round() / 1e3);
+        // What is not of now allows nothing.
+        state.idle &= self.feed.is_of_now();
+        state
+    }
+
+    fn events(&mut self) -> Vec<(Option<String>, What, f64)> {
+        self.follow();
+        std::mem::take(&mut self.pending)
+    }
+
+    fn judge(&mut self, job: &Job) -> Result<(), String> {
+        let spec = self.read(job)?;
+        if spec.id.as_deref() != Some(job.id.as_str()) || spec.rerun {
+            return Err(format!("the job's text has to state id: {}, and no rerun", job.id));
+        }
+        let known = self.journal()?.map(|journal| journal.job(&job.id)).transpose();
+        if known.map_err(|error| chain(&error))?.flatten().is_some() {
+            return Err(format!("the journal of this cell knows a job {} already", job.id));
+        }
+        self.out_of_reach(&spec).map_or(Ok(()), Err)
+    }
+
+    fn hand_in(&mut self, job: &Job) -> Result<(), String> {
+        if let Some(name) = waiting_file(&self.state, job) {
+            self.handed.insert(job.id.clone(), Handed { id: job.id.clone(), name });
+            return Ok(());
+        }
+        let no_file = |name: &str| Err(format!("a job of the fleet names no file, and this one {name}"));
+        let (spec, text) = prepare(&job.text, &job.id, &no_file)?;
+        let name = Path::new(&stem(&job.id)).with_extension("yaml");
+        let handed =
+            hand_in(&self.state, &name, &spec, &text, unix_now_s()).map_err(|error| chain(&error))?;
+        tracing::info!(job = job.id, file = handed.name, "a job of the fleet goes into the spool");
+        self.handed.insert(job.id.clone(), handed);
+        Ok(())
+    }
+
+    fn look(&mut self, job: &str) -> Result<Local, String> {
+        let Some(journal) = self.journal()? else { return Ok(Local::Unknown) };
+        if let Some(record) = journal.job(job).map_err(|error| chain(&error))? {
+            self.handed.remove(job);
+            return Ok(local(&record));
+        }
+        let Some(handed) = self.handed.get(job) else { return Ok(Local::Unknown) };
+        let refused = journal.rejection_of_name(&handed.name).map_err(|error| chain(&error))?;
+        if let Some(refusal) = refused {
+            return Ok(rejected(&refusal.reason));
+        }
+        let waits = self.state.incoming().join(&handed.name).exists();
+        Ok(if waits { Local::Open } else { Local::Unknown })
+    }
+
+    fn order(&mut self, asked: Asked, job: &str, by: &str) -> Ordered {
+        let (answer, answered) = oneshot::channel();
+        let (desk, order, by) = (self.desk.clone(), order_of(asked, job), format!("{by}, over the fleet"));
+        // No page may give it, whatever comes: what sets the arm in motion needs eyes on the cell.
+        if order.needs_sight() {
+            return answered;
+        }
+        if asked != Asked::Cancel {
+            self.decided_afar.insert(job.to_string());
+        }
+        tokio::spawn(async move {
+            let Reply { accepted, message } = desk.order(order, by).await;
+            // Who asked may have gone.
+            let _ = answer.send((accepted, message));
+        });
+        answered
+    }
+
+    fn complaints(&mut self, complaints: &[String]) {
+        for complaint in complaints {
+            tracing::warn!("fleet: {complaint}");
+        }
+        if complaints.is_empty() {
+            tracing::info!("fleet: connected, nothing is wrong");
+        }
+        if let Ok(mut remarks) = self.remarks.lock() {
+            *remarks = complaints.to_vec();
+        }
+    }
+}
