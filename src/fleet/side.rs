@@ -153,7 +153,7 @@ fn stem(id: &str) -> String {
 
 fn order_of(asked: Asked, job: &str) -> Order {
     match asked {
-        Asked::Approve => Order::Approve(job.to_string()),
+        Asked::Approve => Order::Approve { id: job.to_string(), plan: None },
         Asked::Reject => Order::Reject(job.to_string()),
         Asked::Cancel => Order::Cancel(job.to_string()),
     }
