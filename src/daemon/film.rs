@@ -50,7 +50,7 @@ impl Film {
         (Film { viewers: Arc::default(), busy: Arc::default(), shown }, pictures)
     }
 
-    /// Somebody watches, and the picture before is encoded.
+    /// There are viewers, and the picture before is encoded.
     pub fn wants_a_picture(&self) -> bool {
         self.viewers() > 0 && !self.busy.load(Ordering::Acquire)
     }
@@ -66,7 +66,7 @@ impl Film {
         self.show(Shown::Picture(image));
     }
 
-    /// Hands something over; nobody may be there to take it.
+    /// Hands something over; the thread that takes it may have ended.
     pub fn show(&self, shown: Shown) {
         let _ = self.shown.send(shown);
     }

@@ -69,7 +69,7 @@ impl Office for SignsIn {
     fn sign_out(&self, name: &str) -> Reply {
         let ended = self.0.access().end_all_of(name);
         if ended == 0 {
-            return Reply::refuse(format!("nobody of the name {name:?} is signed in, and no token has it"));
+            return Reply::refuse(format!("no session, token or link has the name {name:?}"));
         }
         let said = format!("{ended} sessions, tokens and links of {name} are void from now on");
         match self.0.keep_access() {

@@ -14,7 +14,7 @@ use tokio::sync::watch;
 const QUALITY: u8 = 70;
 
 /// A picture is of now for so long.
-const OF_NOW: Duration = Duration::from_millis(1500);
+const OF_NOW: Duration = Duration::from_secs(3);
 
 /// Between two pictures of one answer.
 pub const BOUNDARY: &str = "celld-film";

@@ -375,7 +375,7 @@ fn cell_page_film_is_taken_for_viewers_and_a_token_taken_back_ends_it() {
     assert!(watchers("0"));
     let seen = film(&cell, &view, 3);
     assert!(seen.windows(3).any(|w| w == [0xff, 0xd8, 0xff]), "JPEG pictures");
-    wait_until("nobody watches", || watchers("0"));
+    wait_until("no viewer is left", || watchers("0"));
 
     let other = cell.token(Role::Operate);
     assert_eq!(cell.get("/api/v1/me", &other).status, 200);
@@ -392,8 +392,8 @@ fn cell_page_film_is_taken_for_viewers_and_a_token_taken_back_ends_it() {
     // Its stream ends too, by itself.
     let _ = stream.read_to_end(&mut Vec::new()).expect("the end of the stream");
     assert_eq!(cell.get("/api/v1/me", &view).status, 200, "others go on");
-    let nobody = celld(&["open", "--revoke", "operate"], cell.path());
-    assert_eq!(nobody.status.code(), Some(1), "{}", text(&nobody.stdout));
+    let again = celld(&["open", "--revoke", "operate"], cell.path());
+    assert_eq!(again.status.code(), Some(1), "{}", text(&again.stdout));
 }
 
 #[test]

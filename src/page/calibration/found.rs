@@ -36,7 +36,7 @@ impl Finder {
         let Some(Ok(found)) = self.detector.as_mut().map(|detector| detector.detect(&image.gray())) else {
             return;
         };
-        // Somebody solves or keeps something: the next picture will do.
+        // A solution is under way: the next picture will do.
         let board = match app.calibration_if_free() {
             Some(mut bench) => bench.lens.as_mut().map(|lens| {
                 lens.saw(image, &found);

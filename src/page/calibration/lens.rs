@@ -100,8 +100,9 @@ impl LensWork {
     }
 
     /// Takes a picture that a person asks for; what it shows, or why it is not kept, is said.
-    pub fn picture(&mut self, image: &Image) {
-        self.said = self.take(image).unwrap_or_else(|fault| fault);
+    pub fn picture(&mut self, of_now: Option<&Image>) {
+        let none = || Err("the camera gives no picture at the moment: not kept; try again".to_string());
+        self.said = of_now.map_or_else(none, |image| self.take(image)).unwrap_or_else(|fault| fault);
     }
 
     /// Takes a picture; what it shows, in words.

@@ -182,9 +182,8 @@ fn take(app: &Shared, step: Step) -> Result<(), Refused> {
             app.calibration().lens = Some(LensWork::new(board).map_err(Refused::fault)?);
         }
         Step::Picture => {
-            let image =
-                app.screen.now().ok_or_else(|| conflict("there is no picture of now: see the film"))?;
-            lens(app, |lens| lens.picture(&image))?;
+            let image = app.screen.now();
+            lens(app, |lens| lens.picture(image.as_deref()))?;
         }
         Step::Auto { on } => lens(app, |lens| lens.set_auto(on))?,
         Step::Lens { drop } => lens(app, |lens| lens.solve(&drop))?,
