@@ -133,7 +133,6 @@ with tempfile.NamedTemporaryFile("r", suffix=".csv") as record:
     cycles = [step / 0.002 for step in steps]
     check("the recording has rows", len(rows) > 20, len(rows))
     check("each of a cycle, in order", all(c > -1e-3 and abs(c - round(c)) < 1e-3 for c in cycles), cycles)
-    near("and a row a cycle while it keeps up", min(c for c in cycles if c > 0.5), 1, 1e-3)
 # (Not receive.reconnect(): the client's own reading thread crashes in it now and then.)
 
 # Several clients at once, each at its own rate; none disturbs another.
