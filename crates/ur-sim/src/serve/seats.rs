@@ -5,6 +5,7 @@
 //! connections and forget them thus shut out no other one, and memory and file handles have a bound. Who
 //! only reads is not silent while data flows.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::task::{Context, Poll, Waker};
 use std::time::Instant;
@@ -13,16 +14,21 @@ use std::time::Instant;
 #[derive(Debug)]
 pub struct Seats {
     most: usize,
+    opened: Instant,
     taken: Mutex<Vec<Weak<Seat>>>,
 }
 
-/// A connection's place.
+/// A connection's place. A sign of life takes no lock: who makes the frames gives one with each package.
 #[derive(Debug)]
-pub struct Seat(Mutex<State>);
+pub struct Seat {
+    opened: Instant,
+    /// Nanoseconds after `opened`.
+    heard: AtomicU64,
+    leaving: Mutex<Leaving>,
+}
 
-#[derive(Debug)]
-struct State {
-    heard: Instant,
+#[derive(Debug, Default)]
+struct Leaving {
     leaves: bool,
     /// The task that reads.
     reader: Option<Waker>,
@@ -31,17 +37,19 @@ struct State {
 impl Seats {
     /// At most so many.
     pub fn new(most: usize) -> Seats {
-        Seats { most, taken: Mutex::new(Vec::new()) }
+        Seats { most, opened: Instant::now(), taken: Mutex::new(Vec::new()) }
     }
 
     /// A place for a connection just made.
     pub fn take(&self) -> Arc<Seat> {
-        let now = Instant::now();
-        let seat = Arc::new(Seat(Mutex::new(State { heard: now, leaves: false, reader: None })));
+        let seat =
+            Seat { opened: self.opened, heard: AtomicU64::new(0), leaving: Mutex::new(Leaving::default()) };
+        seat.heard();
+        let seat = Arc::new(seat);
         let mut taken = self.taken.lock().unwrap_or_else(PoisonError::into_inner);
         taken.retain(|seat| seat.strong_count() > 0);
         let mut here: Vec<Arc<Seat>> = taken.iter().filter_map(Weak::upgrade).collect();
-        here.sort_by_key(|seat| seat.lock().heard);
+        here.sort_by_key(|seat| seat.heard.load(Ordering::Relaxed));
         let too_many = (here.len() + 1).saturating_sub(self.most);
         here.drain(..too_many).for_each(|silent| silent.leave());
         *taken = here.iter().chain([&seat]).map(Arc::downgrade).collect();
@@ -50,28 +58,29 @@ impl Seats {
 }
 
 impl Seat {
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    fn leaving(&self) -> MutexGuard<'_, Leaving> {
+        self.leaving.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn leave(&self) {
-        let mut state = self.lock();
-        state.leaves = true;
-        if let Some(reader) = state.reader.take() {
+        let mut leaving = self.leaving();
+        leaving.leaves = true;
+        if let Some(reader) = leaving.reader.take() {
             reader.wake();
         }
     }
 
     /// Something has passed, either way.
     pub fn heard(&self) {
-        self.lock().heard = Instant::now();
+        let after = u64::try_from(self.opened.elapsed().as_nanos()).unwrap_or(u64::MAX);
+        self.heard.store(after, Ordering::Relaxed);
     }
 
     /// Ready once the connection has to end; the task that reads is woken then.
     pub fn poll_leave(&self, context: &mut Context<'_>) -> Poll<()> {
-        let mut state = self.lock();
-        state.reader = Some(context.waker().clone());
-        if state.leaves { Poll::Ready(()) } else { Poll::Pending }
+        let mut leaving = self.leaving();
+        leaving.reader = Some(context.waker().clone());
+        if leaving.leaves { Poll::Ready(()) } else { Poll::Pending }
     }
 }
 
@@ -80,7 +89,7 @@ mod tests {
     use super::*;
 
     fn leaves(seat: &Seat) -> bool {
-        seat.lock().leaves
+        seat.leaving().leaves
     }
 
     #[test]
