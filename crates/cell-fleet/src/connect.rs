@@ -55,7 +55,7 @@ pub enum ConnectFault {
         message: String,
     },
     /// No server answers.
-    #[error("no NATS server answers at {servers}: {message}; the cell works on alone")]
+    #[error("no NATS server answers at {servers}: {message}")]
     Unreachable {
         /// Its addresses.
         servers: String,
