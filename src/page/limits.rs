@@ -118,6 +118,7 @@ mod tests {
             hosts: hosts.iter().map(|host| host.to_string()).collect(),
             control_from: Vec::new(),
             tls: None,
+            texts: Vec::new(),
         }
     }
 

@@ -100,7 +100,7 @@ impl Network {
             Port::Dashboard => dashboard,
             Port::Primary | Port::Secondary | Port::Realtime | Port::Interpreter => primary,
             Port::PrimaryReadOnly | Port::SecondaryReadOnly | Port::RealtimeReadOnly => primary,
-            Port::Gripper | Port::Robotiq | Port::Modbus => gripper,
+            Port::Gripper | Port::Robotiq | Port::ToolSerial | Port::Modbus => gripper,
         }
     }
 

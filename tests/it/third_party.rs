@@ -120,7 +120,7 @@ fn pymodbus_drives_the_gripper_on_the_arm() {
 }
 
 /// A cell that stands, with everything that a recording may hold, pictures of this size.
-fn record(path: &Path, [width, height]: [usize; 2]) {
+fn record(path: &Path, [width, height]: [u32; 2]) {
     let stage = stage(3, Eye::Corners).unwrap();
     let mut pair = Pair::new(stage.clone(), Choice::of(3)).unwrap();
     assert!(bring_up(&mut pair));
@@ -136,7 +136,7 @@ fn record(path: &Path, [width, height]: [usize; 2]) {
         let noise = |x: u32, y: u32| ((x * 7919 + y * 104_729 + k * 31) % 251) as u8;
         let mut image = Image::filled(width, height, [0; 3]);
         for (index, byte) in image.rgb.iter_mut().enumerate() {
-            *byte = noise((index % (3 * width)) as u32, (index / (3 * width)) as u32);
+            *byte = noise(index as u32 % (3 * width), index as u32 / (3 * width));
         }
         recorder.on(at(k), &Scene::Displayed(&Displayed::Picture { image, views: Vec::new() }));
         recorder.on(at(k), &Scene::Robot(pair.machine().robot_state().expect("a state")));

@@ -3,6 +3,8 @@
 //! In: the document as it is made, examples of every payload. Out: a difference, or an example that its
 //! schema does not take.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests: an unwrap that fails is the test that fails")]
+
 use cell_fleet::asyncapi::asyncapi;
 use cell_fleet::payloads::{
     Answer, Ask, CellState, Claim, ClaimState, Event, Job, Outcome, Refusal, VERSION, What, Wish,

@@ -3,6 +3,8 @@
 //! In: seeds. Out: no job is lost, none is carried out twice, none is begun by a second cell unless a person
 //! gave it away; a failure names its seed. `CELLD_FLEET_SEEDS=N` runs more of them.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests: an unwrap that fails is the test that fails")]
+
 #[path = "schedules/model.rs"]
 mod model;
 

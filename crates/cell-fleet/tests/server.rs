@@ -3,6 +3,8 @@
 //! In: the program that `CELLD_NATS_SERVER` names (`make test-fleet`). Out: what the seeded schedules say
 //! holds on the real server too; without the program every test here is skipped, and says so.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests: an unwrap that fails is the test that fails")]
+
 #[path = "server/bench.rs"]
 mod bench;
 

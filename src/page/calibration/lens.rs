@@ -248,7 +248,7 @@ mod tests {
             pictures.push((image, found));
         }
         let count = |work: &LensWork| work.view()["pictures"].as_array().map_or(0, Vec::len);
-        let mut look = |work: &mut LensWork, which: usize| {
+        let look = |work: &mut LensWork, which: usize| {
             let (image, found) = &pictures[which];
             work.saw(image, found);
         };
