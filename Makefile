@@ -141,6 +141,8 @@ DATA := $(or $(CELLD_DATA),../shared/data)
 # GDAL takes a tenth of a second to start. Those with the RealSense SDK do not: two of its pipelines that
 # open in one process at once corrupt its memory now and then (1 run in 25; celld has one).
 SDK := test(/realsense::tests::/)
+# With cell-fleet (`make test-fleet`) libraries of others get more features, and everything is built twice.
+TESTED := --workspace --exclude cell-fleet
 SHARED := celld cell-calibration cell-machine cell-motion cell-vision
 CELLS := test(/(^|::)cell_/) | test(/^robot_session::/)
 
@@ -149,18 +151,18 @@ test: setup
 	cargo clippy --workspace --all-targets -- -D warnings
 	cargo clippy --no-default-features --lib --bins -- -D warnings
 	RUSTDOCFLAGS="-D warnings" cargo doc --quiet --workspace --no-deps --lib
-	cargo test --quiet --doc --workspace
+	cargo test --quiet --doc $(TESTED)
 	@[ -d "$(DATA)" ] || echo "SKIPPED: tests on the public instances and camera recordings, no folder $(DATA) (set CELLD_DATA)"
 	@if cargo nextest --version >/dev/null 2>&1; then \
-	  cargo nextest run --workspace --no-run; \
+	  cargo nextest run $(TESTED) --no-run; \
 	  sync; \
 	  echo "cargo nextest run"; \
-	  cargo nextest run --workspace --profile cells --test-threads 6 -E '$(CELLS)'; \
+	  cargo nextest run $(TESTED) --profile cells --test-threads 6 -E '$(CELLS)'; \
 	  cargo test --quiet $(SHARED:%=-p %) --lib -- --skip realsense::tests::; \
-	  cargo nextest run --workspace -E 'not (test(/^third_party::/) | $(CELLS) | (kind(lib) & ($(foreach crate,$(SHARED),package($(crate)) |) none()) - $(SDK)))'; \
+	  cargo nextest run $(TESTED) -E 'not (test(/^third_party::/) | $(CELLS) | (kind(lib) & ($(foreach crate,$(SHARED),package($(crate)) |) none()) - $(SDK)))'; \
 	else \
 	  echo "cargo test"; \
-	  cargo test --workspace --all-targets -- --skip cell_ --skip robot_session:: --skip third_party:: --skip realsense::tests::; \
+	  cargo test $(TESTED) --all-targets -- --skip cell_ --skip robot_session:: --skip third_party:: --skip realsense::tests::; \
 	  cargo test --lib -- realsense::tests:: --test-threads=1; \
 	  cargo test --test it -- cell_ robot_session:: --test-threads=1; \
 	fi
