@@ -133,7 +133,7 @@ try: setup
 # Tests that read public data pass without looking at anything where there is none: that has to be seen.
 DATA := $(or $(CELLD_DATA),../shared/data)
 
-# The whole cells over sockets (cell_*, robot_session) run by themselves, six at a time: most of their time
+# The whole cells over sockets (cell_*, robot_session) run by themselves, four at a time: most of their time
 # is real time that passes, but what computes beside them could hold a heartbeat up, and what the build has
 # left to be written to the disk a commit. Without nextest they run one after the other.
 #
@@ -157,7 +157,7 @@ test: setup
 	  cargo nextest run $(TESTED) --no-run; \
 	  sync; \
 	  echo "cargo nextest run"; \
-	  cargo nextest run $(TESTED) --profile cells --test-threads 6 -E '$(CELLS)'; \
+	  cargo nextest run $(TESTED) --profile cells --test-threads 4 -E '$(CELLS)'; \
 	  cargo test --quiet $(SHARED:%=-p %) --lib -- --skip realsense::tests::; \
 	  cargo nextest run $(TESTED) -E 'not (test(/^third_party::/) | $(CELLS) | (kind(lib) & ($(foreach crate,$(SHARED),package($(crate)) |) none()) - $(SDK)))'; \
 	else \

@@ -14,7 +14,7 @@ use crate::jobs::record::JobSpec;
 use crate::jobs::state::StateFolder;
 use crate::jobs::status::{Remarks, Status};
 use crate::jobs::submit::{Handed, hand_in, prepare};
-use crate::page::feed::Feed;
+use crate::page::feed::{Feed, Sight};
 use crate::page::orders::Desk;
 use cell_edge::clock::unix_now_s;
 use cell_fleet::payloads::{CellState, Job, What};
@@ -87,7 +87,7 @@ impl Side {
             }
             self.last = status;
         }
-        let Some((seen, unix_s)) = self.feed.last_sight() else { return };
+        let Some(Sight { seen, unix_s, .. }) = self.feed.last_sight() else { return };
         if unix_s > self.seen_unix_s {
             self.seen_unix_s = unix_s;
             let objects = u32::try_from(seen.objects.len()).unwrap_or(u32::MAX);

@@ -122,6 +122,7 @@ mod tests {
     #[test]
     fn plan_steps_and_stops_are_told_once() {
         let plan = PlanRecord {
+            number: 1,
             steps: Vec::new(),
             lower_bound: Some(2.0),
             seconds: None,

@@ -368,10 +368,11 @@ fn film(cell: &Cell, token: &str, pictures: usize) -> Vec<u8> {
 #[test]
 fn cell_page_film_is_taken_for_viewers_and_a_token_taken_back_ends_it() {
     let cell = Cell::start("127.7.7.5", 1);
-    let view = cell.token(Role::View);
+    let [view, operate] = [Role::View, Role::Operate].map(|role| cell.token(role));
     let watchers =
         |wanted: &str| cell.get("/metrics", &view).body.contains(&format!("celld_film_viewers {wanted}\n"));
-    wait_until("the robot is known", || cell.get("/readyz", "").status == 200);
+    let known = || cell.get("/api/v1/calibration", &operate).json()["cell"]["lens"].is_object();
+    wait_until("the robot is known", known);
     assert!(watchers("0"));
     let seen = film(&cell, &view, 3);
     assert!(seen.windows(3).any(|w| w == [0xff, 0xd8, 0xff]), "JPEG pictures");
@@ -424,8 +425,8 @@ fn cell_page_calibrates_step_by_step_and_moves_only_when_ordered() {
     assert_eq!(step(json!({ "do": "untouch" })).json()["touches"]["wanted"]["number"], 1);
 
     wait_until("armed", || cell.order(&engineer, json!({ "do": "arm" }))["accepted"] == true);
-    let begun = cell.order(&engineer, json!({ "do": "calibrate" }));
-    assert_eq!(begun["accepted"], true, "{begun}");
+    // Who has just armed the cell waits until its arm is at rest.
+    wait_until("a round", || cell.order(&engineer, json!({ "do": "calibrate" }))["accepted"] == true);
     wait_until("the round is over", || bench()["round"]["over"] == true);
     let round = bench()["round"].clone();
     let poses = bench()["cell"]["poses"].as_u64();
