@@ -326,7 +326,7 @@ fn fleet(
     stop: &Arc<AtomicBool>,
 ) -> Result<Told, String> {
     let Some(section) = &config.fleet else { return Ok(Box::new(|_| {})) };
-    let daemon = crate::fleet::start::Daemon {
+    let daemon = crate::fleet::side::Daemon {
         config: config.clone(),
         state: state.clone(),
         feed: feed.clone(),

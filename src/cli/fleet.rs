@@ -30,7 +30,7 @@ pub enum FleetCommand {
     /// Put a job into the queue
     Submit(submit::SubmitArgs),
     /// Agree to the plan of a job
-    Approve(jobs::DecideArgs),
+    Approve(jobs::ApproveArgs),
     /// Refuse the plan of a job
     Reject(jobs::DecideArgs),
     /// Give a job up, wherever it is
@@ -63,8 +63,8 @@ pub fn run(command: FleetCommand, stop: &Arc<AtomicBool>) -> u8 {
             FleetCommand::Jobs(args) => show::jobs(&args).await,
             FleetCommand::Watch(args) => show::watch(&args, stop).await,
             FleetCommand::Submit(args) => submit::submit(&args).await,
-            FleetCommand::Approve(args) => jobs::decide(&args, true).await,
-            FleetCommand::Reject(args) => jobs::decide(&args, false).await,
+            FleetCommand::Approve(args) => jobs::approve(&args).await,
+            FleetCommand::Reject(args) => jobs::reject(&args).await,
             FleetCommand::Cancel(args) => jobs::cancel(&args).await,
             FleetCommand::Give(args) => jobs::give(&args).await,
             FleetCommand::Forget(args) => jobs::forget(&args).await,

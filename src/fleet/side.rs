@@ -13,7 +13,7 @@ use crate::jobs::journal::Journal;
 use crate::jobs::record::JobSpec;
 use crate::jobs::state::StateFolder;
 use crate::jobs::status::{Remarks, Status};
-use crate::jobs::submit::{Handed, hand_in, prepare};
+use crate::jobs::submit::{Handed, hand_in, prepare, stem};
 use crate::page::feed::{Feed, Sight};
 use crate::page::orders::Desk;
 use cell_edge::clock::unix_now_s;
@@ -32,15 +32,24 @@ use tokio::sync::oneshot;
 /// A status, and when it was written, s since 1970.
 pub type Written = (Status, f64);
 
+/// What the daemon has that the fleet's thread works with.
+pub struct Daemon {
+    /// The cell.
+    pub config: CellConfig,
+    /// Jobs and journal.
+    pub state: StateFolder,
+    /// What happens.
+    pub feed: Feed,
+    /// Where orders go.
+    pub desk: Desk,
+    /// What the status says of the fleet.
+    pub remarks: Remarks,
+}
+
 /// See the module.
 pub struct Side {
-    config: CellConfig,
-    state: StateFolder,
-    feed: Feed,
-    desk: Desk,
+    daemon: Daemon,
     statuses: Receiver<Written>,
-    /// What the status says of the fleet.
-    remarks: Remarks,
     last: Status,
     /// When the sight that was told last was made.
     seen_unix_s: f64,
@@ -53,21 +62,10 @@ pub struct Side {
 
 impl Side {
     /// With the statuses that the keeper writes.
-    pub fn new(
-        config: CellConfig,
-        state: StateFolder,
-        feed: Feed,
-        desk: Desk,
-        statuses: Receiver<Written>,
-        remarks: Remarks,
-    ) -> Side {
+    pub fn new(daemon: Daemon, statuses: Receiver<Written>) -> Side {
         Side {
-            config,
-            state,
-            feed,
-            desk,
+            daemon,
             statuses,
-            remarks,
             last: Status::default(),
             seen_unix_s: 0.0,
             handed: BTreeMap::new(),
@@ -87,7 +85,7 @@ impl Side {
             }
             self.last = status;
         }
-        let Some(Sight { seen, unix_s, .. }) = self.feed.last_sight() else { return };
+        let Some(Sight { seen, unix_s, .. }) = self.daemon.feed.last_sight() else { return };
         if unix_s > self.seen_unix_s {
             self.seen_unix_s = unix_s;
             let objects = u32::try_from(seen.objects.len()).unwrap_or(u32::MAX);
@@ -109,7 +107,7 @@ impl Side {
     }
 
     fn journal(&self) -> Result<Option<Journal>, String> {
-        let path = self.state.journal();
+        let path = self.daemon.state.journal();
         if !path.exists() {
             return Ok(None);
         }
@@ -117,17 +115,17 @@ impl Side {
     }
 
     fn read(&self, job: &Job) -> Result<JobSpec, String> {
-        let obstacles = self.config.obstacles();
-        let read_goal = |name: &str| read_goal_file(&self.config.goal_folder, name);
-        let journal = self.state.journal();
+        let obstacles = self.daemon.config.obstacles();
+        let read_goal = |name: &str| read_goal_file(&self.daemon.config.goal_folder, name);
+        let journal = self.daemon.state.journal();
         let found = |id: &str| found_by(&journal, id);
-        let context = job_context(&self.config, &obstacles, &read_goal, &found);
+        let context = job_context(&self.daemon.config, &obstacles, &read_goal, &found);
         read_job(&job.text, &job.id, &context).map_err(|complaints| complaints.to_string())
     }
 
     /// The first goal that the arm does not reach with the object's grip.
     fn out_of_reach(&self, spec: &JobSpec) -> Option<String> {
-        let cell = self.feed.cell()?;
+        let cell = self.daemon.feed.cell()?;
         let model = &cell.model;
         spec.goal.iter().find_map(|goal| {
             let object = model.object(&goal.id)?;
@@ -145,15 +143,9 @@ fn waiting_file(state: &StateFolder, job: &Job) -> Option<String> {
     names.filter_map(|entry| entry.file_name().into_string().ok()).find(|name| name.ends_with(&end))
 }
 
-/// A job's id in the name of its file, as `jobs/submit` writes it.
-fn stem(id: &str) -> String {
-    let plain = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' };
-    id.chars().map(plain).take(30).collect()
-}
-
-fn order_of(asked: Asked, job: &str) -> Order {
+fn order_of(asked: Asked, job: &str, plan: Option<u64>) -> Order {
     match asked {
-        Asked::Approve => Order::Approve { id: job.to_string(), plan: None },
+        Asked::Approve => Order::Approve { id: job.to_string(), plan },
         Asked::Reject => Order::Reject(job.to_string()),
         Asked::Cancel => Order::Cancel(job.to_string()),
     }
@@ -162,12 +154,12 @@ fn order_of(asked: Asked, job: &str) -> Order {
 impl CellSide for Side {
     fn state(&mut self) -> CellState {
         self.follow();
-        let mut state = state_of(self.feed.last_status().as_deref());
-        let trends = self.feed.trends();
+        let mut state = state_of(self.daemon.feed.last_status().as_deref());
+        let trends = self.daemon.feed.trends();
         state.vacuum_percent = trends.vacuum_percent.back().map(|(_, percent)| *percent);
         state.drift_mm = trends.reference_residual_mm.back().map(|(_, mm)| (mm * 1e3).round() / 1e3);
         // What is not of now allows nothing.
-        state.idle &= self.feed.is_of_now();
+        state.idle &= self.daemon.feed.is_of_now();
         state
     }
 
@@ -189,7 +181,7 @@ impl CellSide for Side {
     }
 
     fn hand_in(&mut self, job: &Job) -> Result<(), String> {
-        if let Some(name) = waiting_file(&self.state, job) {
+        if let Some(name) = waiting_file(&self.daemon.state, job) {
             self.handed.insert(job.id.clone(), Handed { id: job.id.clone(), name });
             return Ok(());
         }
@@ -197,7 +189,7 @@ impl CellSide for Side {
         let (spec, text) = prepare(&job.text, &job.id, &no_file)?;
         let name = Path::new(&stem(&job.id)).with_extension("yaml");
         let handed =
-            hand_in(&self.state, &name, &spec, &text, unix_now_s()).map_err(|error| chain(&error))?;
+            hand_in(&self.daemon.state, &name, &spec, &text, unix_now_s()).map_err(|error| chain(&error))?;
         tracing::info!(job = job.id, file = handed.name, "a job of the fleet goes into the spool");
         self.handed.insert(job.id.clone(), handed);
         Ok(())
@@ -214,13 +206,14 @@ impl CellSide for Side {
         if let Some(refusal) = refused {
             return Ok(rejected(&refusal.reason));
         }
-        let waits = self.state.incoming().join(&handed.name).exists();
+        let waits = self.daemon.state.incoming().join(&handed.name).exists();
         Ok(if waits { Local::Open } else { Local::Unknown })
     }
 
-    fn order(&mut self, asked: Asked, job: &str, by: &str) -> Ordered {
+    fn order(&mut self, asked: Asked, job: &str, plan: Option<u64>, by: &str) -> Ordered {
         let (answer, answered) = oneshot::channel();
-        let (desk, order, by) = (self.desk.clone(), order_of(asked, job), format!("{by}, over the fleet"));
+        let (desk, order, by) =
+            (self.daemon.desk.clone(), order_of(asked, job, plan), format!("{by}, over the fleet"));
         // No page may give it, whatever comes: what sets the arm in motion needs eyes on the cell.
         if order.needs_sight() {
             return answered;
@@ -243,7 +236,7 @@ impl CellSide for Side {
         if complaints.is_empty() {
             tracing::info!("fleet: connected, nothing is wrong");
         }
-        if let Ok(mut remarks) = self.remarks.lock() {
+        if let Ok(mut remarks) = self.daemon.remarks.lock() {
             *remarks = complaints.to_vec();
         }
     }

@@ -3,13 +3,9 @@
 //! In: the configuration's section and what the daemon has. Out: a thread that ends with `stop`, and the
 //! statuses' way to it, which never waits: a thread that is behind loses statuses and looks at the last.
 
-use crate::config::cell::CellConfig;
 use crate::config::fleet::FleetConfig;
-use crate::fleet::side::{Side, Written};
-use crate::jobs::state::StateFolder;
-use crate::jobs::status::{Remarks, Status};
-use crate::page::feed::Feed;
-use crate::page::orders::Desk;
+use crate::fleet::side::{Daemon, Side, Written};
+use crate::jobs::status::Status;
 use cell_edge::clock::unix_now_s;
 use cell_fleet::connect::{Access, Credentials};
 use cell_fleet::run::run;
@@ -54,20 +50,6 @@ pub fn fleet(config: &FleetConfig) -> Result<Fleet, String> {
     Fleet::new(&config.name).ok_or_else(|| format!("{:?} is no name of a fleet", config.name))
 }
 
-/// What the daemon has that the fleet's thread works with.
-pub struct Daemon {
-    /// The cell.
-    pub config: CellConfig,
-    /// Jobs and journal.
-    pub state: StateFolder,
-    /// What happens.
-    pub feed: Feed,
-    /// Where orders go.
-    pub desk: Desk,
-    /// What the status says of the fleet.
-    pub remarks: Remarks,
-}
-
 /// Where statuses go.
 pub struct Statuses(SyncSender<Written>);
 
@@ -95,8 +77,7 @@ pub fn start(section: &FleetConfig, daemon: Daemon, stop: Arc<AtomicBool>) -> Re
         limits: Limits { bytes: section.keep_bytes, days: section.keep_days },
     };
     let (sender, statuses) = sync_channel(BEHIND);
-    let Daemon { config, state, feed, desk, remarks } = daemon;
-    let side = Side::new(config, state, feed, desk, statuses, remarks);
+    let side = Side::new(daemon, statuses);
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build();
     let runtime = runtime.map_err(|error| format!("fleet: {error}"))?;
     let work = move || {

@@ -33,6 +33,7 @@ pub fn state_of(status: Option<&Status>) -> CellState {
         idle: is_idle(status),
         job: status.job.clone(),
         awaiting_approval: status.awaiting_approval.clone(),
+        plan: status.plan.as_ref().map(|plan| plan.number),
         step: status.step,
         ..CellState::default()
     }

@@ -53,9 +53,7 @@ pub fn hand_in(
     let hash = Sha256::digest(text.as_bytes());
     let hash: String = hash.iter().take(4).map(|byte| format!("{byte:02x}")).collect();
     let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-    let plain = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' };
-    let stem: String = stem.chars().map(plain).take(30).collect();
-    let base = format!("{}-{stem}-{hash}", utc::compact(unix_s));
+    let base = format!("{}-{}-{hash}", utc::compact(unix_s), self::stem(&stem));
     let names = (1..1000).map(|number| match number {
         1 => format!("{base}.yaml"),
         _ => format!("{base}.{number}.yaml"),
@@ -63,6 +61,12 @@ pub fn hand_in(
     let name = write_new(&state.incoming(), names, text.as_bytes())?;
     let id = job.id.clone().unwrap_or_else(|| id_of_file(&name, &hash, unix_s));
     Ok(Handed { id, name })
+}
+
+/// A name as it is in the name of a job's file in `incoming`.
+pub fn stem(name: &str) -> String {
+    let plain = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' };
+    name.chars().map(plain).take(30).collect()
 }
 
 /// What has become of a job that was handed in.

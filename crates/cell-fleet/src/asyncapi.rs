@@ -145,7 +145,7 @@ fn schemas() -> Value {
     json!({
         "job": job,
         "event": event(&name, &outcome),
-        "ask": object(json!({ "job": id }), &["job"]),
+        "ask": object(json!({ "job": id, "plan": { "type": ["integer", "null"] } }), &["job"]),
         "answer": object(json!({ "accepted": { "type": "boolean" }, "message": text }), &["accepted", "message"]),
         "refusal": object(json!({ "epoch": count, "reason": text, "unix_s": number }), &["epoch", "reason", "unix_s"]),
         "wish": object(json!({ "epoch": count, "target": text, "unix_s": number }), &["epoch", "unix_s"]),
@@ -173,7 +173,7 @@ fn cell(number: &Value, count: &Value, text: &Value, texts: &Value) -> Value {
         json!({
             "labels": texts, "celld": text, "unix_s": number, "clock_ahead_s": number, "state": text,
             "message": text, "hint": text, "armed": flag, "idle": flag, "job": { "type": ["string", "null"] },
-            "awaiting_approval": texts, "holds": texts, "step": { "type": ["array", "null"], "items": count },
+            "awaiting_approval": texts, "plan": { "type": ["integer", "null"] }, "holds": texts, "step": { "type": ["array", "null"], "items": count },
             "totals": totals, "undelivered": count, "vacuum_percent": { "type": ["number", "null"] },
             "drift_mm": { "type": ["number", "null"] }, "complaints": texts,
         }),

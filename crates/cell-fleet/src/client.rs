@@ -290,12 +290,18 @@ impl Client {
         }
     }
 
-    /// Asks a cell something and waits for what it decides.
+    /// Asks a cell something and waits for what it decides; `plan` is the number of the plan to approve.
     ///
     /// # Errors
     /// The cell is not there, or its answer is not readable.
-    pub async fn ask(&self, cell: &str, asked: Asked, job: &str) -> Result<Answer, String> {
-        let bytes = encode(&Ask { version: VERSION, job: job.to_string() }).map_err(text)?;
+    pub async fn ask(
+        &self,
+        cell: &str,
+        asked: Asked,
+        job: &str,
+        plan: Option<u64>,
+    ) -> Result<Answer, String> {
+        let bytes = encode(&Ask { version: VERSION, job: job.to_string(), plan }).map_err(text)?;
         let subject = self.fleet.ask(cell, asked, &self.user);
         let request = async_nats::Request::new().payload(bytes.into()).timeout(Some(ORDER_WITHIN));
         let answer = self.connection.send_request(subject, request).await.map_err(|error| {

@@ -325,6 +325,9 @@ pub struct CellState {
     /// Jobs whose plan waits for a person.
     #[serde(default)]
     pub awaiting_approval: Vec<String>,
+    /// Number of the present job's plan.
+    #[serde(default)]
+    pub plan: Option<u64>,
     /// Jobs of the fleet that this cell has in hand.
     #[serde(default)]
     pub holds: Vec<String>,
@@ -473,6 +476,10 @@ pub struct Ask {
     pub version: u32,
     /// The job it is about.
     pub job: String,
+    /// To approve: the number of the plan that was shown ([`CellState::plan`]). A plan that has taken its
+    /// place meanwhile is not agreed to.
+    #[serde(default)]
+    pub plan: Option<u64>,
 }
 
 /// The cell's answer, after it has decided.

@@ -191,7 +191,7 @@ impl Shell {
                 Ok(state) => answers.push(Input::Local { job, state }),
                 Err(message) => self.complain("journal", Some(message)),
             },
-            Effect::Cancel { job, by } => drop(self.cell.order(Asked::Cancel, &job, &by)),
+            Effect::Cancel { job, by } => drop(self.cell.order(Asked::Cancel, &job, None, &by)),
             Effect::Tell { job, what } => self.note(job, what, unix_now_s()),
             Effect::Pull(on) => self.wanted.send_modify(|wanted| {
                 // From even to odd and back, and on to the next odd number for the next job.
@@ -332,13 +332,16 @@ impl Shell {
         let read = self.settings.fleet.read_ask(&message.subject, &self.settings.cell);
         let read = read.map_err(|fault| fault.to_string()).and_then(|(asked, by)| {
             let ask: Ask = decode(&message.payload).map_err(|fault| fault.to_string())?;
-            Ok((asked, by, ask.job))
+            if asked == Asked::Approve && ask.plan.is_none() {
+                return Err("not approved: the request names no plan by its number".to_string());
+            }
+            Ok((asked, by, ask))
         });
         let answer = |accepted: bool, text: String| Answer { version: VERSION, accepted, message: text };
         match read {
             Err(fault) => network.reply(reply, &answer(false, fault)),
-            Ok((asked, by, job)) => {
-                let ordered = self.cell.order(asked, &job, &by);
+            Ok((asked, by, Ask { job, plan, .. })) => {
+                let ordered = self.cell.order(asked, &job, plan, &by);
                 let news = self.news_sender.clone();
                 tokio::spawn(async move {
                     let gone = (false, "celld is ending; nothing is known of the order".to_string());

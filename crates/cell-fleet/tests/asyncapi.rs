@@ -55,11 +55,12 @@ fn every_payload_fits_its_schema_and_names_no_field_that_it_has_not() {
     fits("claim", &claim);
     fits("refusal", &Refusal { version: VERSION, epoch: 1, reason: "no".into(), unix_s: 1.0 });
     fits("wish", &Wish { version: VERSION, epoch: 1, target: Some("any".into()), unix_s: 1.0 });
-    fits("ask", &Ask { version: VERSION, job: "a".into() });
+    fits("ask", &Ask { version: VERSION, job: "a".into(), plan: Some(3) });
     fits("answer", &Answer { version: VERSION, accepted: true, message: "yes".into() });
     let cell = CellState {
         version: VERSION,
         step: Some((1, 2)),
+        plan: Some(3),
         vacuum_percent: Some(50.0),
         ..CellState::default()
     };

@@ -162,11 +162,13 @@ fn what_all_refuse_is_set_aside_and_a_person_decides_from_afar() {
         let claims = runtime.block_on(client.claims()).unwrap();
         claims.iter().any(|claim| claim.state == ClaimState::Aside && claim.reasons.len() == 2)
     });
-    let answer = runtime.block_on(client.ask("c1", Asked::Approve, "tidy")).unwrap();
+    let unnamed = runtime.block_on(client.ask("c1", Asked::Approve, "tidy", None)).unwrap();
+    assert!(!unnamed.accepted && unnamed.message.contains("no plan"), "{unnamed:?}");
+    let answer = runtime.block_on(client.ask("c1", Asked::Approve, "tidy", Some(7))).unwrap();
     assert!(answer.accepted && answer.message == "agreed", "{answer:?}");
     let ordered = cells[1].disk.lock().unwrap().ordered.clone();
-    assert_eq!(ordered, [(Asked::Approve, "tidy".to_string(), "anna".to_string())]);
-    let nobody = runtime.block_on(client.ask("c9", Asked::Approve, "tidy")).unwrap_err();
+    assert_eq!(ordered, [(Asked::Approve, "tidy".to_string(), Some(7), "anna".to_string())]);
+    let nobody = runtime.block_on(client.ask("c9", Asked::Approve, "tidy", Some(7))).unwrap_err();
     assert!(nobody.contains("c9 does not answer"), "{nobody}");
     // Not taken by any cell yet: it waits for a time of its own.
     let late = Job { not_before_unix_s: Some(4e9), ..job("late") };

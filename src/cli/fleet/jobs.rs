@@ -21,6 +21,17 @@ pub struct JobArgs {
     reach: ReachArgs,
 }
 
+/// The plan that is agreed to.
+#[derive(Args, Debug)]
+pub struct ApproveArgs {
+    #[command(flatten)]
+    decide: DecideArgs,
+    /// Number of the plan that you have seen, as `celld fleet status` shows it; another that has taken its
+    /// place meanwhile is not agreed to
+    #[arg(long, value_name = "N")]
+    plan: u64,
+}
+
 /// A plan that waits.
 #[derive(Args, Debug)]
 pub struct DecideArgs {
@@ -73,14 +84,21 @@ async fn waits_at(client: &Client, job: &str) -> Result<String, Failure> {
     })
 }
 
-pub async fn decide(args: &DecideArgs, agreed: bool) -> Result<(), Failure> {
+pub async fn approve(args: &ApproveArgs) -> Result<(), Failure> {
+    decide(&args.decide, Asked::Approve, Some(args.plan)).await
+}
+
+pub async fn reject(args: &DecideArgs) -> Result<(), Failure> {
+    decide(args, Asked::Reject, None).await
+}
+
+async fn decide(args: &DecideArgs, asked: Asked, plan: Option<u64>) -> Result<(), Failure> {
     let client = args.reach.client().await?;
     let cell = match &args.cell {
         Some(cell) => cell.clone(),
         None => waits_at(&client, &args.job).await?,
     };
-    let asked = if agreed { Asked::Approve } else { Asked::Reject };
-    let answer = client.ask(&cell, asked, &args.job).await?;
+    let answer = client.ask(&cell, asked, &args.job, plan).await?;
     let said = format!("{cell}: {}", answer.message);
     match answer.accepted {
         true => {

@@ -94,7 +94,9 @@ fn line(Shown { name, state, unix_s }: &Shown, now: f64) -> String {
         state.state, totals.done, totals.failed, totals.moves, totals.bound
     );
     for job in &state.awaiting_approval {
-        text.push_str(&format!("\n    waits for `celld fleet approve {job}`"));
+        let plan = state.plan.filter(|_| state.job.as_ref() == Some(job));
+        let plan = plan.map(|plan| format!(" --plan {plan}")).unwrap_or_default();
+        text.push_str(&format!("\n    waits for `celld fleet approve {job}{plan}`"));
     }
     if state.undelivered > 0 {
         text.push_str(&format!("\n    {} events wait for the network", state.undelivered));

@@ -11,7 +11,7 @@ pub fn words(event: &Event) -> String {
         }
         What::Planned { moves, lower_bound, waits } => {
             let bound = lower_bound.map(|bound| format!(", lower bound {bound:.0}")).unwrap_or_default();
-            let waits = if *waits { "; waits for `celld fleet approve`" } else { "" };
+            let waits = if *waits { "; waits for approval, see `celld fleet status`" } else { "" };
             format!("planned: {moves} moves{bound}{waits}")
         }
         What::Approved { by, agreed: true } => format!("approved by {by}"),

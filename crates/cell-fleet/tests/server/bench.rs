@@ -143,7 +143,7 @@ pub struct Disk {
     /// How often the arm set out for a job.
     pub carried_out: BTreeMap<String, u32>,
     /// What it was ordered.
-    pub ordered: Vec<(Asked, String, String)>,
+    pub ordered: Vec<(Asked, String, Option<u64>, String)>,
     /// What it complained of last.
     pub complaints: Vec<String>,
     /// Faults of its own, to be told.
@@ -200,9 +200,9 @@ impl CellSide for Side {
         })
     }
 
-    fn order(&mut self, asked: Asked, job: &str, by: &str) -> Ordered {
+    fn order(&mut self, asked: Asked, job: &str, plan: Option<u64>, by: &str) -> Ordered {
         let (answer, answered) = oneshot::channel();
-        self.disk.lock().unwrap().ordered.push((asked, job.to_string(), by.to_string()));
+        self.disk.lock().unwrap().ordered.push((asked, job.to_string(), plan, by.to_string()));
         let _ = answer.send((true, "agreed".to_string()));
         answered
     }

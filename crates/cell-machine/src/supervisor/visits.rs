@@ -72,6 +72,9 @@ impl Supervisor {
         if !self.mode.armed() {
             return Some(self.not_armed(outside, "no calibration round"));
         }
+        if self.mode.paused() {
+            return no("the cell is paused; `celld resume` first".to_string());
+        }
         if let Some(why) = self.under_way(outside) {
             return no(format!("{why}; try again"));
         }

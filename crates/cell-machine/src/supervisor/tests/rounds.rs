@@ -48,6 +48,15 @@ fn a_calibration_round_is_ordered_in_an_armed_cell_that_rests() {
     let held = answer(&calibrate(&mut bench)).expect("an answer");
     assert!(!held.accepted && bench.cell.round.is_none(), "{held:?}");
 
+    // Who has paused the cell counts on an arm that stays.
+    let mut bench = with_round();
+    bench.feed(order(Order::Arm));
+    bench.ticks(20);
+    bench.feed(order(Order::Pause));
+    let paused = answer(&calibrate(&mut bench)).expect("an answer");
+    assert!(!paused.accepted && paused.message.contains("`celld resume`"), "{paused:?}");
+    assert_eq!(streams(&bench.ticks(20)), 0);
+
     let mut bench = with_round();
     bench.feed(order(Order::Arm));
     bench.ticks(20);
