@@ -41,8 +41,8 @@ pub trait CellSide: Send {
     /// It cannot be read.
     fn look(&mut self, job: &str) -> Result<Local, String>;
 
-    /// Gives an order in the name of a person; the answer comes after it was decided. To approve goes with the
-    /// number of the plan that the person was shown.
+    /// Gives an order in the name of a person; the answer comes after it was decided. To approve goes with
+    /// the number of the plan that the person was shown.
     fn order(&mut self, asked: Asked, job: &str, plan: Option<u64>, by: &str) -> Ordered;
 
     /// What is wrong with the cell's part in the fleet, for its own log and status; empty when nothing is.
