@@ -84,7 +84,8 @@ pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
         }
     };
     let state = StateFolder::new(&args.state);
-    let _lock = match state.take() {
+    let seed = seed();
+    let _lock = match state.take(&first_status(seed)) {
         Ok(lock) => lock,
         Err(error) => {
             complain(&chain(&error));
@@ -92,7 +93,22 @@ pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
         }
     };
     let config_file = args.config.clone();
-    with_runtime(stop, |stop| daemon(config, config_file, calibration, state, stop))
+    with_runtime(stop, |stop| daemon(config, config_file, calibration, state, seed, stop))
+}
+
+/// Another one in every run: the name of the run, and what chance starts from.
+fn seed() -> u64 {
+    (unix_now_s() * 1e3) as u64
+}
+
+fn name_of(seed: u64) -> String {
+    format!("celld-{seed}")
+}
+
+/// What commands read before the records are open.
+fn first_status(seed: u64) -> Status {
+    let now = unix_now_s();
+    Status::starting(name_of(seed), now, now, "opening the records of the state folder".to_string())
 }
 
 /// Old pictures must not move a real arm.
@@ -197,12 +213,12 @@ async fn daemon(
     config_file: PathBuf,
     calibration: CalibrationSet,
     state: StateFolder,
+    seed: u64,
     stop: Arc<AtomicBool>,
 ) -> Result<(), String> {
-    let seed = (unix_now_s() * 1e3) as u64;
     let (beats, stopped) = (Beats::default(), || stop.load(Ordering::Relaxed));
     let watchdog = Watchdog::start(beats.clone());
-    let (diagnostic_images, name) = (state.root().to_path_buf(), format!("celld-{seed}"));
+    let (diagnostic_images, name) = (state.root().to_path_buf(), name_of(seed));
     let confirmed = state.gripper_confirmed(&gripper_address(&config.devices));
     let Opened { mut keeper, orders, feed, film } = opened(&config, &config_file, state, name, &stop)?;
     let reception = Reception::open(orders);

@@ -273,7 +273,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let state = StateFolder::new(folder.path());
         assert!(matches!(send(&state, &Command::Arm), Err(ClientError::NoDaemon(_))));
-        let lock = state.take().unwrap();
+        let lock = state.take(&Status::default()).unwrap();
         Status { daemon: "d1".into(), ..Status::default() }.write(&state.status()).unwrap();
         drop(lock);
         assert!(matches!(send(&state, &Command::Arm), Err(ClientError::NoDaemon(_))));
@@ -284,7 +284,7 @@ mod tests {
     fn a_daemon_that_waits_for_the_robot_takes_no_order_and_says_so() {
         let folder = tempfile::tempdir().unwrap();
         let state = StateFolder::new(folder.path());
-        let _lock = state.take().unwrap();
+        let _lock = state.take(&Status::default()).unwrap();
         let waits = Status::starting("d1".into(), 0.0, 0.0, "waiting for the robot at 10.0.0.2".into());
         waits.write(&state.status()).unwrap();
         let refused = send(&state, &Command::Arm).expect_err("no order is taken").to_string();
@@ -296,7 +296,7 @@ mod tests {
     fn the_daemon_s_answer_is_the_exit_code() {
         let folder = tempfile::tempdir().unwrap();
         let state = StateFolder::new(folder.path());
-        let _lock = state.take().unwrap();
+        let _lock = state.take(&Status::default()).unwrap();
         Status { daemon: "d1".into(), ..Status::default() }.write(&state.status()).unwrap();
         let mut inbox = Inbox::open(&state.commands(), "d1").unwrap();
         for accepted in [true, false] {

@@ -469,7 +469,7 @@ mod tests {
     fn with_a_job() -> (tempfile::TempDir, StateFolder, StateKeeper) {
         let folder = tempfile::tempdir().unwrap();
         let state = StateFolder::new(folder.path());
-        state.take().unwrap();
+        state.take(&status::Status::default()).unwrap();
         let mut keeper = open(&state);
         let job = "version: 1\nid: tidy\ngoal:\n  objects:\n    - {id: lid, pose: [0.3, 0.38, 0]}\n";
         std::fs::write(state.incoming().join("tidy.yaml"), job).unwrap();

@@ -3,10 +3,11 @@
 //! In: the folder given with `--state`. Out: the paths below it, and the lock that makes the daemon the only
 //! one. The lock is the kernel's and ends with the process, however it ends: there is no stale lock.
 
+use crate::jobs::status::Status;
 use crate::jobs::utc;
 use cell_edge::file_lock::FileLock;
 use cell_edge::files::{
-    FileError, create_folder, create_group_folder, read_regular, remove_drafts, write_atomic,
+    FileError, create_folder, create_group_folder, read_regular, remove, remove_drafts, write_atomic,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -104,11 +105,12 @@ impl StateFolder {
         self.root.join("lock")
     }
 
-    /// Takes the folder for this process, creating it where needed.
+    /// Takes the folder for this process, creating it where needed. `first` takes the place of the status
+    /// that an earlier daemon left: with the lock held that would read as one of now, an armed cell perhaps.
     ///
     /// # Errors
     /// [`StateError::Taken`] while another daemon holds it.
-    pub fn take(&self) -> Result<FileLock, StateError> {
+    pub fn take(&self, first: &Status) -> Result<FileLock, StateError> {
         create_folder(&self.root)?;
         create_group_folder(&self.root, &self.commands())?;
         create_folder(&self.root.join("jobs"))?;
@@ -116,6 +118,10 @@ impl StateFolder {
         let note = format!("{}\n", std::process::id());
         let taken = || StateError::Taken { path: self.root.clone() };
         let lock = FileLock::take(&self.lock_file(), &note)?.ok_or_else(taken)?;
+        if first.write(&self.status()).is_err() {
+            // A full disk still lets a file go; what it says of its own is named by what needs it.
+            remove(&self.status())?;
+        }
         remove_drafts(&self.root, Duration::ZERO)?;
         for folder in [self.commands(), self.incoming()] {
             remove_drafts(&folder, LEFT_FOR)?;
@@ -154,11 +160,26 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let state = StateFolder::new(folder.path().join("state"));
         assert!(!state.is_taken().unwrap());
-        let lock = state.take().unwrap();
+        let lock = state.take(&Status::default()).unwrap();
         assert!(state.is_taken().unwrap());
-        let error = state.take().unwrap_err();
+        let error = state.take(&Status::default()).unwrap_err();
         assert!(matches!(&error, StateError::Taken { path } if path == state.root()), "{error}");
         drop(lock);
-        state.take().unwrap();
+        state.take(&Status::default()).unwrap();
+    }
+
+    #[test]
+    fn what_an_earlier_daemon_said_is_gone_with_the_lock_in_other_hands() {
+        let folder = tempfile::tempdir().unwrap();
+        let state = StateFolder::new(folder.path());
+        let said = |state: &StateFolder| Status::read(&state.status()).unwrap().unwrap();
+        let first = |name: &str| Status::starting(name.into(), 1.0, 1.0, "celld starts".into());
+        let lock = state.take(&first("d1")).unwrap();
+        Status { armed: true, state: "working".into(), ..first("d1") }.write(&state.status()).unwrap();
+        state.take(&first("d2")).unwrap_err();
+        assert!(said(&state).armed, "who is turned away changes nothing");
+        drop(lock);
+        let _lock = state.take(&first("d2")).unwrap();
+        assert_eq!(said(&state), first("d2"));
     }
 }
