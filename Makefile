@@ -48,13 +48,14 @@ PACKAGES_BUILT := $(BUILD)/packages
 MOST_MEGABYTES := 15
 
 .PHONY: help setup clients demo try test test-clients test-clients-many test-page bench-page book bench figures
-.PHONY: fuzz fuzz-corpus setup-fleet test-fleet
+.PHONY: fuzz fuzz-corpus setup-fleet test-fleet tidy
 .PHONY: release install uninstall deb test-deb sim-static wheel image test-wheel test-image
 
 help:
 	@echo "make demo [ARGS='--scene planks']   a whole cell in simulation; report in ./out"
 	@echo "make try                            a simulated cell to watch and operate in the browser"
 	@echo "make test                           formatting, lints, documentation, all tests but those of the next line"
+	@echo "make tidy                           formatting and house rules alone, in seconds"
 	@echo "make test-page                      the page in a browser (installs Chromium)"
 	@echo "make bench-page                     what viewers of the page cost the loop and the processor (ten minutes)"
 	@echo "make test-fleet                     many cells against a real NATS server (installs it)"
@@ -133,9 +134,10 @@ try: setup
 # Tests that read public data pass without looking at anything where there is none: that has to be seen.
 DATA := $(or $(CELLD_DATA),../shared/data)
 
-# The whole cells over sockets (cell_*, robot_session) run by themselves, four at a time: most of their time
-# is real time that passes, but what computes beside them could hold a heartbeat up, and what the build has
-# left to be written to the disk a commit. Without nextest they run one after the other.
+# The whole cells over sockets (cell_*, robot_session) run first, four at a time: most of their time is real
+# time that passes. Beside them the unit tests get what the cells leave of the processor and no more: what
+# takes its share could hold a heartbeat up, as could what the build has left to be written to the disk.
+# Without nextest they run one after the other.
 #
 # The unit tests of celld and of the crates that use OpenCV share a process each: one that links FFmpeg and
 # GDAL takes a tenth of a second to start. Those with the RealSense SDK do not: two of its pipelines that
@@ -145,9 +147,15 @@ SDK := test(/realsense::tests::/)
 TESTED := --workspace --exclude cell-fleet
 SHARED := celld cell-calibration cell-machine cell-motion cell-vision
 CELLS := test(/(^|::)cell_/) | test(/^robot_session::/)
+UNITS_LOG := $(BUILD)/units.log
 
-test: setup
+# What needs no build of the workspace: a breach of a house rule is found in seconds.
+tidy:
 	cargo fmt --all --check
+	@mkdir -p $(BUILD); CARGO_MANIFEST_DIR=$(CURDIR) rustc --edition 2024 --test tests/tidy.rs -o $(BUILD)/tidy
+	@CARGO_MANIFEST_DIR=$(CURDIR) $(BUILD)/tidy --quiet
+
+test: setup tidy
 	cargo clippy --workspace --all-targets -- -D warnings
 	cargo clippy --no-default-features --lib --bins -- -D warnings
 	RUSTDOCFLAGS="-D warnings" cargo doc --quiet --workspace --no-deps --lib
@@ -157,8 +165,11 @@ test: setup
 	  cargo nextest run $(TESTED) --no-run; \
 	  sync; \
 	  echo "cargo nextest run"; \
-	  cargo nextest run $(TESTED) --profile cells --test-threads 4 -E '$(CELLS)'; \
-	  cargo test --quiet $(SHARED:%=-p %) --lib -- --skip realsense::tests::; \
+	  chrt --idle 0 cargo test --quiet --no-fail-fast $(SHARED:%=-p %) --lib -- --test-threads 1 --skip realsense::tests:: \
+	    >$(UNITS_LOG) 2>&1 & units=$$!; \
+	  cells=0; cargo nextest run $(TESTED) --profile cells --test-threads 4 -E '$(CELLS)' || cells=1; \
+	  wait $$units || { cat $(UNITS_LOG); exit 1; }; \
+	  grep '^test result' $(UNITS_LOG); [ $$cells = 0 ]; \
 	  cargo nextest run $(TESTED) -E 'not (test(/^third_party::/) | $(CELLS) | (kind(lib) & ($(foreach crate,$(SHARED),package($(crate)) |) none()) - $(SDK)))'; \
 	else \
 	  echo "cargo test"; \
@@ -217,7 +228,7 @@ test-image: image $(PYTHON_ENV)/installed.txt
 test-clients: export CELLD_CLIENTS := $(CLIENTS)
 test-clients: clients test-wheel
 	@if cargo nextest --version >/dev/null 2>&1; then \
-	  cargo nextest run -E 'test(/^third_party::/) | test(/realsense::tests::/)'; \
+	  cargo nextest run $(TESTED) -E 'test(/^third_party::/) | test(/realsense::tests::/)'; \
 	else \
 	  cargo test --test it -- third_party::; cargo test --lib -- realsense::tests:: --test-threads=1; \
 	fi
@@ -261,9 +272,11 @@ test-fleet: setup setup-fleet
 	cargo test -p cell-fleet
 	cargo test --features fleet --lib -- fleet
 
+# With the features that the libraries have in `make test` too (a test target adds those of the tests), so
+# that nothing is built for the page alone.
 test-page: setup $(PAGE)/installed.txt
 	@$(call install,$(PAGE_PACKAGES))
-	cargo build --bin celld
+	cargo build $(TESTED) --bin celld --test tidy
 	$(PAGE)/bin/python tests/page/operate.py $(BUILD)/debug/celld $(PAGE)/pictures
 
 # Figures, none of them judged: the loop with 20 viewers and without, in turn; one who watches the film.

@@ -73,7 +73,10 @@ const TABLE: &[Row] = &[
     },
     Row {
         module: "cell-machine",
-        uses: Uses::AllAbove { but: &["cell-edge", "urscript", "cell-parts", "ur-sim"], also: &[] },
+        uses: Uses::AllAbove {
+            but: &["cell-edge", "cell-fleet", "urscript", "cell-parts", "ur-sim"],
+            also: &[],
+        },
         pure: true,
     },
     Row { module: "cell-replay", uses: Uses::Only(&["cell-machine", "cell-values"]), pure: true },

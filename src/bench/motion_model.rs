@@ -1,7 +1,7 @@
 //! What `bench motion` is measured against: a rod in place of the gripper, which both models of the arm
 //! have, and another planner.
 //!
-//! In: the arm's model. Out: the rod, and whether a roadmap finds a way; it asks the swept check for single
+//! In: the arm's model. Out: the rod, and whether a roadmap finds a way; it uses the swept check for single
 //! straight ways only.
 
 use cell_motion::bodies::Room;

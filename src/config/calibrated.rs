@@ -2,7 +2,7 @@
 //!
 //! In: a checked [`CellConfig`]. Out: [`CalibrationSet`], or every complaint about all three files at once;
 //! one of them, where a calibration starts from it; the numbers that the daemon works with; files written.
-//! What is in them, and what fits together, is `calibration::files`.
+//! What is in them, and what fits together, is `cell_calibration::files`.
 
 use crate::config::cell::{CalibrationFiles, CellConfig};
 use crate::config::setup::{Measured, reference_markers};

@@ -1,6 +1,6 @@
 //! Whether every task of the daemon gets on, and what the service manager is sent of it.
 //!
-//! In: beats. A task is working since its last beat, or rests because nothing is asked of it. Out: which
+//! In: beats. A task is working since its last beat, or rests because it has nothing to do. Out: which
 //! tasks have not answered in their time, in the log; the messages of `sd_notify(3)` to the socket that
 //! `NOTIFY_SOCKET` names: READY, STATUS, WATCHDOG as long as every task answers, STOPPING. A daemon whose
 //! loop hangs still has a process, a lock and threads that get on: only all tasks together may keep the
@@ -17,7 +17,7 @@ const EVERY: Duration = Duration::from_secs(1);
 /// What a task is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
-    /// Nothing is asked of it.
+    /// It has nothing to do.
     Rests,
     /// It works; the next beat is due within this time.
     Works { since: Instant, within: Duration },
@@ -56,7 +56,7 @@ impl Beat {
         *self.slot.state() = State::Works { since: now, within: self.within };
     }
 
-    /// Nothing is asked of the task.
+    /// The task has nothing to do.
     pub fn rests(&self) {
         *self.slot.state() = State::Rests;
     }

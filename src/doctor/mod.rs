@@ -189,7 +189,7 @@ impl Sheet {
     }
 }
 
-/// Adds `words` after `head`; what goes beyond the page stands below it.
+/// Adds `words` after `head`; what goes beyond the page goes below it.
 fn wrapped(text: &mut String, head: &str, words: &str) {
     let indent = head.chars().count();
     text.push_str(head);

@@ -1,4 +1,4 @@
-//! What the fleet is told of a cell: its state, and events where the status has changed.
+//! What is reported to the fleet of a cell: its state, and events where the status has changed.
 //!
 //! In: the status before and now. Out: [`What`] happened, and the part of [`CellState`] that a status shows.
 //! Pure.

@@ -102,7 +102,7 @@ pub struct DeviceStatus {
 /// The state of a daemon that waits for the robot and takes no orders yet.
 pub const STARTING: &str = "starting";
 
-/// Up to this age an answer is one of now: the loop asks more often.
+/// Up to this age an answer is one of now: the loop polls more often.
 const FRESH_S: f64 = 2.0;
 
 impl DeviceStatus {

@@ -47,7 +47,7 @@ pub struct Setup<'a> {
     pub texts: Texts,
 }
 
-/// A page that calibrates asks every second.
+/// A page that calibrates polls every second.
 const CALIBRATES_MS: u64 = 4000;
 
 /// Largest file of grants that is read.

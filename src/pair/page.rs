@@ -28,7 +28,7 @@ process, clocks, files, the network) have tests of their own.
 
 Written by `celld simulate --faults sweep --write docs/reactions.md`; `celld simulate --faults sweep`
 compares the cell with it and checks the [rules](../ARCHITECTURE.md) after every step. `make test` does so with
-every fault in every second phase.
+every fault in every third phase.
 
 | # | fault | phases | job | armed | held | operator reads | what to do | next job |
 |---|---|---|---|---|---|---|---|---|

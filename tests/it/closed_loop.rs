@@ -47,8 +47,8 @@ fn the_page_of_reactions_has_every_case_and_no_other() {
     assert_eq!(page.len(), titles.len());
 }
 
-/// What `celld simulate --faults sweep` does, which wrote the page: here every fault in every second phase
-/// of those in which it can occur, each phase with the faults of every second row; all of them with
+/// What `celld simulate --faults sweep` does, which wrote the page: here every fault in every third phase
+/// of those in which it can occur, each phase with the faults of every third row; all of them with
 /// CELLD_ALL_CASES=1, and by that command.
 #[test]
 fn every_fault_has_the_reaction_that_the_page_gives() {
@@ -56,7 +56,7 @@ fn every_fault_has_the_reaction_that_the_page_gives() {
     let page = expected(PAGE);
     let all = std::env::var_os("CELLD_ALL_CASES").is_some();
     let rows = ROWS.iter().enumerate();
-    let chosen = |row: usize, phase: usize, of: usize| all || of == 1 || (row + phase).is_multiple_of(2);
+    let chosen = |row: usize, phase: usize, of: usize| all || of < 3 || (row + phase).is_multiple_of(3);
     let cases: Vec<(&Row, Phase)> = rows
         .flat_map(|(number, row)| {
             let phases = row.phases.iter().enumerate();

@@ -1,6 +1,6 @@
-//! The robot session against the simulated controller, over real sockets: what `cell::device` and `ur-sim`
-//! each took from the vendor's guides has to fit together, and the on-robot program in between is the real
-//! one.
+//! The robot session against the simulated controller, over real sockets: what `cell_machine::device` and
+//! `ur-sim` each took from the vendor's guides has to fit together, and the on-robot program in between is
+//! the real one.
 
 #![expect(clippy::unwrap_used, reason = "a test that unwraps is a test that fails loudly")]
 

@@ -1,4 +1,4 @@
-//! The jobs that a cell has in hand: from a pulled message to the end that the fleet is told.
+//! The jobs that a cell has in hand: from a pulled message to the end that is reported to the fleet.
 //!
 //! In: answers to what was asked. Out: what to do next. One job at a time is pulled; the order of its way is
 //! fixed: judged, noted as wanted, claimed in the bucket, noted as claimed, settled with the queue, set to
@@ -18,7 +18,7 @@ use cell_values::time::{Duration, Timestamp};
 /// What could not be read or written is tried again after so long.
 const AGAIN: Duration = Duration::from_secs(2);
 
-/// How often the journal is asked about a job that was begun.
+/// How often the journal is read for a job that was begun.
 const LOOK_EVERY: Duration = Duration::from_millis(500);
 
 /// How often the claim of a job that was begun is read: a person may have given it away.
@@ -49,7 +49,7 @@ pub enum Step {
     Running,
     /// The own database notes its end.
     Ending,
-    /// The fleet is being told.
+    /// Its report to the fleet is under way.
     Reporting,
     /// It goes back into the queue.
     Returning,

@@ -18,7 +18,7 @@ use tokio::sync::mpsc::UnboundedSender;
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
-/// A bucket without entries has been told by silence.
+/// After this silence a bucket has no entries.
 const SILENT: Duration = Duration::from_secs(2);
 
 /// What comes back from the network.

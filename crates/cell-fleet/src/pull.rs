@@ -1,6 +1,6 @@
 //! Pulls one job at a time from a cell's lanes, the most urgent first.
 //!
-//! In: whether a job is wanted. Out: messages. First each lane is asked in its order whether it has one;
+//! In: whether a job is wanted. Out: messages. First each lane is requested in its order for one;
 //! then all wait at once, and the first that brings one ends it. Requests that are open then run out by
 //! themselves; what they still bring is passed on too, and the agent sends it back.
 
@@ -20,7 +20,7 @@ const AT_ONCE: Duration = Duration::from_secs(2);
 /// A request that was neither answered nor ran out is taken for lost.
 const LOST: Duration = Duration::from_secs(12);
 
-/// A lane whose server does not answer is asked again after so long.
+/// A lane whose server does not answer gets the next request after so long.
 const AGAIN: Duration = Duration::from_millis(250);
 
 struct Puller {

@@ -33,7 +33,7 @@ impl Storage {
         Storage { replicas: 1, jobs_bytes: 256 << 20, events_bytes: 2 << 30, claims_bytes: 1 << 30 };
 }
 
-/// A second submission is told by its id for so long: then the claim tells it.
+/// A second submission is known by its id for so long; after that by its claim.
 const DUPLICATES: Duration = Duration::from_secs(3600);
 
 const EVENTS_AGE: Duration = Duration::from_secs(90 * 86_400);

@@ -12,7 +12,7 @@ use crate::values::{Effect, Who};
 use crate::world::World;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A cell that was heard of so much later than it claimed a job, and does not name that job among those it
+/// A cell that was seen so much later than it claimed a job, and does not name that job among those it
 /// holds, has lost it.
 const LOST_S: f64 = 15.0;
 

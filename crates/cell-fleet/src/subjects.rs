@@ -2,7 +2,7 @@
 //!
 //! In: a fleet's name, cells, labels, persons, jobs. Out: subjects and keys, and what a subject says, read
 //! back. Every subject begins with [`ROOT`] and the fleet's name, so that what belongs to another fleet, or
-//! to a later version of these names, is told by the subject alone. Who submits, approves, cancels or gives
+//! to a later version of these names, is known by the subject alone. Who submits, approves, cancels or gives
 //! a job away is the last token: the server's permissions let each person publish under their own name only.
 //! Pure.
 

@@ -31,7 +31,7 @@ pub enum Settle {
     Progress,
 }
 
-/// Who asked the network for something, to have the answer brought there.
+/// Whose request to the network it was, to have the answer brought there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Who {
     /// The part that has jobs in hand.
@@ -61,7 +61,7 @@ pub enum Kept {
     Claimed,
     /// It may be carried out, whatever becomes of the network.
     Begun,
-    /// The journal has its end; the fleet has yet to be told.
+    /// The journal has its end; the report to the fleet is still to come.
     Ended,
     /// Over, and kept so that it is not taken again.
     Closed,
@@ -237,7 +237,7 @@ pub enum Effect {
     Keep(Box<Entry>),
     /// Put a job into the spool.
     HandIn(Box<Job>),
-    /// Ask the journal about a job.
+    /// Read what the journal has on a job.
     Look(String),
     /// Give a job of the own cell up, as a person at the cell would.
     Cancel {

@@ -38,7 +38,7 @@ impl Settings {
     }
 }
 
-/// A cell as it was heard of last.
+/// A cell as it was seen last.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Member {
     /// Its state.

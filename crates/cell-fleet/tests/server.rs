@@ -259,7 +259,7 @@ fn wrong_credentials_and_a_server_without_jetstream_are_named_and_the_cell_works
     assert!(matches!(fault, ConnectFault::NoJetStream { .. }), "{fault}");
 }
 
-/// What the server says of itself is all that the version is told by.
+/// What the server says of itself is all that the version is known by.
 #[test]
 fn an_old_server_is_named() {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();

@@ -5,8 +5,7 @@
 //! `supervisor`: what the cell does next. `orders`: what a person may order, and the answer. `planner`: a
 //! plan request answered, with `plan_check` for what the arm can do of a plan and `quickest`
 //! for the order of its moves. `views`: from where the
-//! camera sees which part of the table. `times`: where a job's time goes. `replay`: a
-//! recorded run carried out again. `code`: the words for how a job
+//! camera sees which part of the table. `times`: where a job's time goes. `code`: the words for how a job
 //! ends. No clock, no socket, no file: the daemon turns effects into tokio calls, and a test plays the
 //! other side in its own time.
 

@@ -75,7 +75,7 @@ impl std::fmt::Debug for Machine {
 struct Identity {
     kinematics: Option<(DhParameters, String)>,
     robot: KnownRobot,
-    /// Inputs that another client holds, since RTDE was asked for last.
+    /// Inputs that another client holds, since the last request for RTDE.
     taken: Option<InputsTaken>,
     reported: bool,
 }

@@ -3,9 +3,9 @@
 //! `arm`: joints to poses and back. `path`: segments and the check that lets them reach the robot.
 //! `pick_n_place`: one action of a checked plan as three checked paths. `cycle_time`: what a sequence of
 //! them will take. `put_down`: the way back with an object in the gripper. `slow`: the moves of a
-//! calibration. `reach`: where the arm can pick and place at all. `holding`: what the cups stand. `bodies`:
-//! what the arm, its tool, its load and the cell are made of, and the check that none meets another. `way`:
-//! round them. `jog`: what a person does where there is none.
+//! calibration. `reach`: where the arm can pick and place at all. `holding`: what the cups withstand.
+//! `bodies`: what the arm, its tool, its load and the cell are made of, and the check that none meets
+//! another. `way`: round them. `jog`: what a person does where there is none.
 
 pub mod arm;
 pub mod bodies;

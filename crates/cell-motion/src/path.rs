@@ -5,7 +5,7 @@
 //! [`CheckedPath`], whose only constructor is the check, or a [`PathFault`] that names leg, joint, height
 //! or the two bodies that would meet. Pure. The controller interpolates; the check follows the same
 //! interpolation (joint-linear for `movej`, tool-linear for `movel`), corners between blended segments
-//! included, and slows segments that would ask more of a joint, or of the vacuum, than they may.
+//! included, and slows segments that would load a joint, or the vacuum, more than they may.
 
 mod check;
 mod fault;

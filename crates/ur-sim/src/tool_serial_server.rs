@@ -3,7 +3,7 @@
 //!
 //! In: bytes of a client, which go on the line as they are: Modbus RTU frames of unit 65, with the registers
 //! of the device behind a Compute Box. Out: its frames. The device has power while the tool voltage is 24 V,
-//! and hears what is sent with its own line settings: even parity, one stop bit, at 1,000,000 or 115,200
+//! and receives what is sent with its own line settings: even parity, one stop bit, at 1,000,000 or 115,200
 //! baud, of which sources name both (assumed: either). To everything else it is silent, as it is to other
 //! units and wrong checksums. A frame that stops for 50 ms is none. All clients share the line.
 

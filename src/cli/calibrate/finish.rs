@@ -2,7 +2,7 @@
 //! tie to touches, write.
 //!
 //! In: the cell's configuration and a [`Taken`] round. Out: the three files, or why not; nothing is written
-//! unless all of it can be trusted. What is computed is `calibration::taken`.
+//! unless all of it can be trusted. What is computed is `cell_calibration::taken`.
 
 use crate::cli::calibrate::fault::{Fault, bad_input};
 use crate::cli::calibrate::round::RoundArgs;

@@ -4,7 +4,7 @@
 //! is and moves nothing). Out: `touches.yaml` with the arm's pose at each press of Enter, and each touch's
 //! error by touch alone. `tied` later reports how the file and the table that the camera sees agree; a
 //! disagreement above the limits is an error, and nothing is written. What is computed is
-//! `calibration::touching` and `calibration::tied`.
+//! `cell_calibration::touching` and `cell_calibration::tied`.
 
 use crate::cli::calibrate::fault::{Fault, bad_input};
 use crate::cli::daemon::{open_shell, with_runtime};

@@ -43,7 +43,7 @@ pub fn facts(config: &CellConfig, known: Option<&Measured>, robot: &RobotFacts) 
 
 /// A picture, the camera's serial number where it gives one, and whether it shows the table as it is now.
 fn one_picture(config: &CellConfig) -> Result<(Frame, Option<String>, bool), CameraError> {
-    // Without a lens the camera is asked for its own; a cell that is not calibrated yet has pictures too.
+    // Without a lens the camera's own is read; a cell that is not calibrated yet has pictures too.
     let lens = read_lens(&config.calibration.camera).ok().map(|calibration| calibration.model);
     let mut camera = open_camera(&config.devices, lens)?;
     let frame = camera.grab()?;

@@ -2,8 +2,8 @@
 //!
 //! In: the schemas, each with the word of its kind. Out: one page of Markdown: every key with its type,
 //! unit, range, default and sentence, in the order of the schema; shapes that several kinds have alike
-//! stand once, at the end. The page is made so that no key can be missing in it and none can be described
-//! wrongly.
+//! are given once, at the end. The page is made so that no key can be missing in it and none can be
+//! described wrongly.
 
 use super::ordered::Json;
 use std::collections::{BTreeMap, BTreeSet};

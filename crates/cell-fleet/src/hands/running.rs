@@ -61,9 +61,9 @@ impl Hand {
         self.order_cancel(world);
     }
 
-    /// Tells the fleet how it ended.
+    /// Reports to the fleet how it ended.
     pub(super) fn report(&mut self, world: &mut World) {
-        // A server that has lost what it stored is told all the same.
+        // Also to a server that has lost what it stored.
         let epoch = self.entry.job.epoch;
         let held = |claim: &Claim| claim.is_held_by(&world.settings.cell, epoch);
         if !self.claim.as_ref().is_none_or(|(claim, _)| held(claim)) {

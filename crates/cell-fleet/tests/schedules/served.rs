@@ -1,6 +1,6 @@
 //! The server of the fleet in virtual time: a work queue, claims that are compared and set, watches.
 //!
-//! In: requests as they arrive. Out: answers, and what every cell that follows is told.
+//! In: requests as they arrive. Out: answers, and what goes to every cell that follows.
 
 use super::{ACK_WAIT_MS, Cell, Happening, Message, Request, TIMEOUT_MS, World};
 use cell_fleet::payloads::{Claim, ClaimState, Job, encode};

@@ -146,7 +146,7 @@ pub struct Disk {
     pub ordered: Vec<(Asked, String, Option<u64>, String)>,
     /// What it complained of last.
     pub complaints: Vec<String>,
-    /// Faults of its own, to be told.
+    /// Faults of its own, to be reported.
     pub told: Vec<String>,
     pub disarmed: bool,
 }

@@ -260,7 +260,7 @@ impl Supervisor {
         }
     }
 
-    /// An armed cell goes on by itself as soon as it can: nobody is sent to it before it is disarmed.
+    /// An armed cell goes on by itself as soon as it can: no person is sent to it before it is disarmed.
     fn hands_off_first(&self, hint: &str) -> String {
         match self.mode.armed() && !hint.is_empty() {
             true => format!("`celld disarm` before going to it; {hint}"),

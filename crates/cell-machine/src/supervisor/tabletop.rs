@@ -76,7 +76,7 @@ impl Supervisor {
         Room::new(bodies, &table, None).holding(bodies, grasp.map(|grasp| grasp.load()))
     }
 
-    /// Largest acceleration that what may hang on the gripper stands, m/s2.
+    /// Largest acceleration that what may hang on the gripper withstands, m/s2.
     pub(crate) fn hold(&self) -> f64 {
         self.back.held.as_ref().map_or_else(|| self.unknown_hold(), |held| held.hold)
     }

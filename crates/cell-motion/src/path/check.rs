@@ -227,7 +227,7 @@ fn check_numbers(model: &ArmModel, segment: &Segment) -> Result<(), PathFault> {
     }
 }
 
-/// What is held stands some acceleration.
+/// What is held withstands some acceleration.
 fn check_hold(hold: f64) -> Result<(), PathFault> {
     if hold > 0.0 {
         Ok(())
@@ -251,8 +251,8 @@ fn trace_joint(model: &ArmModel, from: &Joints, to: &Joints, leg: &Leg) -> Resul
     Ok(Traced { points: vec![*from, *to], segment })
 }
 
-/// A joint leg at a speed and an acceleration at which what is held stands the tool's acceleration: along
-/// the way, and across it where the way is bent.
+/// A joint leg at a speed and an acceleration at which what is held withstands the tool's acceleration:
+/// along the way, and across it where the way is bent.
 fn slowed_for_load(model: &ArmModel, from: &Joints, leg: &Leg) -> Segment {
     let Segment::Joint { target, speed, acceleration, blend } = leg.segment else { return leg.segment };
     let travel = from.max_difference(&target);

@@ -59,7 +59,7 @@ pub struct Leg {
     pub floor: f64,
     /// Whether it goes over everything on the table, or straight down or up between.
     pub zone: Zone,
-    /// Largest acceleration that what is held stands on the cups, m/s2.
+    /// Largest acceleration that what is held withstands on the cups, m/s2.
     pub hold: f64,
 }
 
@@ -74,7 +74,7 @@ impl Leg {
         Leg { segment, floor, zone: Zone::Between, hold: f64::INFINITY }
     }
 
-    /// The same with something held that stands this acceleration (m/s2).
+    /// The same with something held that withstands this acceleration (m/s2).
     pub fn holding(self, hold: f64) -> Leg {
         Leg { hold, ..self }
     }

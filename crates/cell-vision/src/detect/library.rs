@@ -61,7 +61,7 @@ impl Library {
         let library =
             builder.build().map_err(|source| DetectError::Library { what: "make a detector", source })?;
         let raw = library.into_raw();
-        // SAFETY: the pointer comes from `into_raw` the line before and is owned by nobody else.
+        // SAFETY: the pointer comes from `into_raw` the line before and has no other owner.
         let mut detector = unsafe { apriltag::Detector::from_raw(raw.as_ptr()) };
         detector.set_thread_number(threads);
         detector.set_refine_edges(true);

@@ -9,7 +9,7 @@ use crate::detect::family::Family;
 use crate::detect::library::{Library, Way};
 use cell_values::image::GrayImage;
 
-/// Bits that the library repairs unless it is told otherwise.
+/// Bits that the library repairs unless it is set otherwise.
 const BITS_CORRECTED: u8 = 2;
 /// Its threshold of contrast, grey levels.
 const CONTRAST_MIN: u8 = 5;

@@ -1,6 +1,6 @@
 //! What can be read of a YAML text that is not valid as a whole, so that its other complaints come at once.
 //!
-//! In: a text that [`crate::document::tree::parse`] refuses. Out: a tree in which [`Value::Unread`] stands
+//! In: a text that [`crate::document::tree::parse`] refuses. Out: a tree in which [`Value::Unread`] is
 //! for what does not parse, and a complaint for each such place. The text is cut where a key or a list item
 //! begins at the least indentation, each piece is parsed by itself, and a piece that does not parse is cut
 //! once more inside. A text in one piece (JSON, a map in braces) has nothing to cut and is given up.

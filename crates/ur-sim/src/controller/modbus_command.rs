@@ -2,7 +2,7 @@
 //!
 //! In: calls from running programs, repeated each frame. Out: a Modbus TCP frame on a connection of its own,
 //! to port 502. Assumed: the program goes on once the device has answered, after two seconds without an
-//! answer, and when there is no connection, of which the log of the controller would tell. The simulator's
+//! answer, and when there is no connection, which the log of the controller would name. The simulator's
 //! addition: `"127.0.0.1:5020"` as the address names another port.
 
 use crate::controller::core::Core;

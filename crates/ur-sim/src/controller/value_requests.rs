@@ -6,7 +6,7 @@
 use serde_json::Value as Json;
 use urscript::value::Value;
 
-/// What a program wants to be told.
+/// Which value a program requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wanted {
     /// Yes or no.
