@@ -80,11 +80,7 @@ pub fn start(section: &FleetConfig, daemon: Daemon, stop: Arc<AtomicBool>) -> Re
     let side = Side::new(daemon, statuses);
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build();
     let runtime = runtime.map_err(|error| format!("fleet: {error}"))?;
-    let work = move || {
-        if let Err(error) = runtime.block_on(run(settings, Box::new(side), stop)) {
-            tracing::error!("fleet: {error}; the cell works on alone");
-        }
-    };
+    let work = move || runtime.block_on(run(settings, Box::new(side), stop));
     std::thread::Builder::new()
         .name("fleet".to_string())
         .spawn(work)

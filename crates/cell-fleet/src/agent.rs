@@ -17,7 +17,7 @@ use std::collections::{BTreeMap, BTreeSet};
 /// A message of another version is offered again after so long: a cell of that version may take it.
 const OTHER_VERSION: Duration = Duration::from_secs(300);
 
-/// A message whose job is in hand under another epoch.
+/// A message whose job is in hand under another epoch, or with other content.
 const OTHER_EPOCH: Duration = Duration::from_secs(30);
 
 /// How often the steward looks at what is to be done.
@@ -74,7 +74,7 @@ impl Agent {
 
     /// When time alone makes a difference.
     pub fn next_wake(&self) -> Timestamp {
-        let hands = self.hands.values().filter_map(Hand::wake).min();
+        let hands = self.hands.values().filter_map(|hand| hand.wake(self.world.connected)).min();
         let steward = self.steward_at + STEWARD_EVERY;
         hands.map_or(steward, |hands| hands.min(steward))
     }
@@ -170,7 +170,8 @@ impl Agent {
             }
         };
         if let Some(hand) = self.hands.get_mut(&job.id) {
-            match hand.entry.job.epoch == job.epoch {
+            // Another one under this id is set aside once this one is out of hand.
+            match hand.entry.job.epoch == job.epoch && hand.entry.job.sha256 == job.sha256 {
                 true => hand.delivered_again(&mut self.world, token),
                 false => self.world.want(Effect::Settle(token, Settle::Back(OTHER_EPOCH))),
             }
@@ -195,6 +196,14 @@ impl Agent {
         self.world.want(Effect::Settle(token, Settle::Back(OTHER_VERSION)));
     }
 
+    /// A job that is set aside under a name of its own is found by it from then on: answers come to that.
+    fn rename(&mut self) {
+        let renamed = self.hands.iter().find(|(key, hand)| **key != hand.entry.job.id);
+        if let Some(hand) = renamed.map(|(key, _)| key.clone()).and_then(|key| self.hands.remove(&key)) {
+            self.hands.insert(hand.entry.job.id.clone(), hand);
+        }
+    }
+
     fn wants_work(&self) -> bool {
         let free = !self.hands.values().any(Hand::is_in_the_way);
         self.world.connected && self.world.ready && free
@@ -205,6 +214,7 @@ impl Agent {
         for hand in self.hands.values_mut() {
             hand.turn(&mut self.world);
         }
+        self.rename();
         let (gone, past) = (&mut self.hands, &mut self.past);
         gone.retain(|job, hand| {
             if hand.entry.begun_here {

@@ -148,7 +148,10 @@ fn schemas() -> Value {
         "ask": object(json!({ "job": id, "plan": { "type": ["integer", "null"] } }), &["job"]),
         "answer": object(json!({ "accepted": { "type": "boolean" }, "message": text }), &["accepted", "message"]),
         "refusal": object(json!({ "epoch": count, "reason": text, "unix_s": number }), &["epoch", "reason", "unix_s"]),
-        "wish": object(json!({ "epoch": count, "target": text, "unix_s": number }), &["epoch", "unix_s"]),
+        "wish": object(
+            json!({ "epoch": count, "target": text, "begun": { "type": "boolean" }, "unix_s": number }),
+            &["epoch", "unix_s"],
+        ),
         "claim": object(
             json!({
                 "job": { "$ref": "#/components/schemas/job" }, "target": text,

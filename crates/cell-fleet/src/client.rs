@@ -103,9 +103,11 @@ impl Client {
         match timeout(ANSWER_WITHIN, sent).await {
             Ok(Ok(stored)) => Ok(!stored.duplicate),
             Ok(Err(message)) => Err(refusal_sentence("the queue", &message)),
-            Err(_) => {
-                Err("the server did not answer; submit the job again, it is not taken twice".to_string())
-            }
+            Err(_) => Err(format!(
+                "the server did not answer; submit the job again with `id: {}` in its file: under this id it is \
+                 not taken twice",
+                job.id
+            )),
         }
     }
 
@@ -244,17 +246,19 @@ impl Client {
                 format!("cell {cell} has the job and gives it up after the present pick-n-place")
             }
             Some(ClaimState::Offered | ClaimState::Aside) | None => {
-                "no cell takes the job any more".to_string()
+                format!("no cell has begun the job; the fleet is to drop it, see `celld fleet why {job}`")
             }
         };
-        self.wish(&Key::Cancel { job: job.to_string(), by: self.user.clone() }, 0, None).await?;
+        let key = Key::Cancel { job: job.to_string(), by: self.user.clone() };
+        self.wish(&key, &self.wish_now()).await?;
         Ok(said)
     }
 
     /// Takes a cell out of the fleet that does not come back: it is not waited for any more with jobs that
     /// all others refuse. One that is there shows itself again.
     ///
-    /// # Errors There is no such cell, or the server does not take it.
+    /// # Errors
+    /// There is no such cell, or the server does not take it.
     pub async fn forget(&self, cell: &str) -> Result<(), String> {
         if !self.cells().await?.iter().any(|shown| shown.name == cell) {
             return Err(format!("no cell {cell} is in the fleet"));
@@ -262,26 +266,40 @@ impl Client {
         self.server.cells.delete(cell).await.map_err(text)
     }
 
-    /// Gives a job to another cell, or to whichever takes it.
+    /// Gives a job to another cell, or to whichever takes it. `seen_to`: the person has looked at the table
+    /// of the cell that had begun it; without, a job that is begun, now or by the time of the decision, stays
+    /// where it is.
     ///
     /// # Errors
-    /// Nothing is known of the job, it was done, or the server does not take it.
-    pub async fn give(&self, job: &str, target: Option<String>) -> Result<Claim, String> {
+    /// Nothing is known of the job, it was done or begun, or the server does not take it.
+    pub async fn give(&self, job: &str, target: Option<String>, seen_to: bool) -> Result<Claim, String> {
         let unknown =
             || format!("no cell has taken job {job} yet; it waits in its queue, or there is no such job");
         let (claim, _) = self.claim(job).await?.ok_or_else(unknown)?;
         if claim.job.text.is_empty() {
             return Err(format!("job {job} is {} and cannot be given", claim.state.as_str()));
         }
+        if matches!(claim.state, ClaimState::Begun | ClaimState::Ended) && !seen_to {
+            let cell = &claim.cell;
+            return Err(format!(
+                "cell {cell} has begun job {job}, and its objects are on that table; when the table of {cell} was \
+                 seen to, add --yes"
+            ));
+        }
         let key = Key::Give { job: job.to_string(), by: self.user.clone() };
-        self.wish(&key, claim.job.epoch, target).await?;
+        let wish = Wish { epoch: claim.job.epoch, target, begun: seen_to, ..self.wish_now() };
+        self.wish(&key, &wish).await?;
         Ok(claim)
     }
 
-    async fn wish(&self, key: &Key, epoch: u32, target: Option<String>) -> Result<(), String> {
-        let submitted = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-        let unix_s = submitted.map_or(0.0, |since| since.as_secs_f64());
-        let bytes = encode(&Wish { version: VERSION, epoch, target, unix_s }).map_err(text)?;
+    fn wish_now(&self) -> Wish {
+        let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+        let unix_s = now.map_or(0.0, |since| since.as_secs_f64());
+        Wish { version: VERSION, epoch: 0, target: None, begun: false, unix_s }
+    }
+
+    async fn wish(&self, key: &Key, wish: &Wish) -> Result<(), String> {
+        let bytes = encode(wish).map_err(text)?;
         let put = timeout(ANSWER_WITHIN, self.server.claims.put(key.to_string(), bytes.into())).await;
         match put {
             Ok(Ok(_)) => Ok(()),

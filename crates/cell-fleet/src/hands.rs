@@ -43,6 +43,8 @@ pub enum Step {
     Beginning,
     /// The own database notes that it is begun.
     Begun,
+    /// Its claim is read once more before it goes into the spool: a person may have given it away since.
+    Confirming,
     /// It is put into the spool.
     HandingIn,
     /// The journal has it.
@@ -80,7 +82,8 @@ pub struct Hand {
     /// When it is tried again.
     again: Option<Timestamp>,
     read_at: Timestamp,
-    cancel_ordered: bool,
+    /// When it was last ordered to be given up.
+    cancelled_at: Option<Timestamp>,
     /// It was given to another cell by a person: there is nothing to report.
     given_away: bool,
 }
@@ -136,7 +139,7 @@ impl Hand {
             since: Timestamp::ZERO,
             again: Some(Timestamp::ZERO),
             read_at: Timestamp::ZERO,
-            cancel_ordered: false,
+            cancelled_at: None,
             given_away: false,
         }
     }
@@ -152,9 +155,10 @@ impl Hand {
         self.step != Step::Gone && self.on_disk
     }
 
-    /// When time alone makes a difference to it.
-    pub fn wake(&self) -> Option<Timestamp> {
-        self.again
+    /// When time alone makes a difference to it; what needs the server waits for a connection.
+    pub fn wake(&self, connected: bool) -> Option<Timestamp> {
+        let waits = !connected && matches!(self.step, Step::Reading | Step::Confirming);
+        self.again.filter(|_| !waits)
     }
 
     fn id(&self) -> &str {
@@ -230,6 +234,9 @@ impl Hand {
         } else if self.step == Step::Reading {
             self.claim = found;
             self.compare(world);
+        } else if self.step == Step::Confirming {
+            self.claim = found;
+            self.confirmed(world);
         }
     }
 
@@ -322,10 +329,9 @@ impl Hand {
                 self.go(world, Step::Held);
                 self.turn(world);
             }
-            Step::Begun => {
-                self.go(world, Step::HandingIn);
-                world.want(Effect::HandIn(Box::new(self.entry.job.clone())));
-            }
+            // The claim was written or read a moment ago.
+            Step::Begun if world.at.now.since(self.since) < AGAIN => self.hand_in(world),
+            Step::Begun => self.confirm(world),
             Step::Ending => {
                 self.go(world, Step::Reading);
                 self.again = Some(world.at.now);
@@ -366,7 +372,7 @@ impl Hand {
             return;
         }
         match self.step {
-            Step::Reading if world.connected => {
+            Step::Reading | Step::Confirming if world.connected => {
                 self.again = None;
                 world.want(Effect::Read(self.id().to_string()));
             }
@@ -374,10 +380,7 @@ impl Hand {
                 self.later(world, LOOK_EVERY);
                 world.want(Effect::Look(self.id().to_string()));
             }
-            Step::HandingIn => {
-                self.again = None;
-                world.want(Effect::HandIn(Box::new(self.entry.job.clone())));
-            }
+            Step::HandingIn => self.confirm(world),
             Step::Wanting | Step::Claimed | Step::Begun | Step::Ending | Step::Forgetting => {
                 self.again = None;
                 world.want(Effect::Keep(Box::new(self.entry.clone())));

@@ -290,6 +290,10 @@ pub struct Wish {
     /// For whom it is from now on; absent: as before.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target: Option<String>,
+    /// To be given: the person knows that a cell had begun it, and has looked at that table. Without, a job
+    /// that is begun by the time of the decision stays where it is.
+    #[serde(default)]
+    pub begun: bool,
     /// When.
     pub unix_s: f64,
 }

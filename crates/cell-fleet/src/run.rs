@@ -10,9 +10,9 @@ use crate::network::{Network, News};
 use crate::payloads::{Answer, Ask, CellState, VERSION, What, decode};
 use crate::pull::pull;
 use crate::side::{CellSide, Settings};
-use crate::store::{Store, StoreError};
+use crate::store::Store;
 use crate::subjects::Asked;
-use crate::values::{At, Effect, Input, Settle, Token, Written};
+use crate::values::{At, Effect, Entry, Input, Settle, Token, Written};
 use crate::world;
 use async_nats::{Message, Subscriber, jetstream};
 use cell_values::time::Timestamp;
@@ -31,24 +31,42 @@ const LOOK_EVERY: Duration = Duration::from_millis(100);
 const STATE_EVERY: Duration = Duration::from_secs(5);
 const STATE_SOONEST: Duration = Duration::from_millis(500);
 
+/// A database that cannot be used is tried again after so long.
+const OPEN_AGAIN: Duration = Duration::from_secs(2);
+
 /// Events on their way at once.
 const EVENTS_AT_ONCE: u32 = 64;
 
 /// A clock that is off by more is a complaint.
 const CLOCK_OFF_S: f64 = 60.0;
 
+/// The own database and what is in it, opened again and again until `stop`: a full disk may get room.
+async fn opened(
+    settings: &Settings,
+    cell: &mut dyn CellSide,
+    stop: &AtomicBool,
+) -> Option<(Store, Vec<Entry>)> {
+    let mut said = String::new();
+    while !stop.load(Ordering::Relaxed) {
+        let store = Store::open(&settings.database, &settings.cell, &settings.series, settings.limits);
+        let fault = match store.and_then(|store| store.entries().map(|entries| (store, entries))) {
+            Ok(found) => return Some(found),
+            Err(fault) => format!("the cell takes no part in the fleet: {fault}"),
+        };
+        if fault != said {
+            cell.complaints(std::slice::from_ref(&fault));
+            said = fault;
+        }
+        tokio::time::sleep(OPEN_AGAIN).await;
+    }
+    None
+}
+
 /// Works until `stop`.
-///
-/// # Errors
-/// The own database cannot be used.
-pub async fn run(
-    settings: Settings,
-    cell: Box<dyn CellSide>,
-    stop: Arc<AtomicBool>,
-) -> Result<(), StoreError> {
-    let store = Store::open(&settings.database, &settings.cell, &settings.series, settings.limits)?;
+pub async fn run(settings: Settings, mut cell: Box<dyn CellSide>, stop: Arc<AtomicBool>) {
+    let Some((store, entries)) = opened(&settings, cell.as_mut(), &stop).await else { return };
     let agent_settings = world::Settings::new(&settings.cell, &settings.labels);
-    let agent = Agent::new(settings.fleet.clone(), agent_settings.clone(), store.entries()?);
+    let agent = Agent::new(settings.fleet.clone(), agent_settings.clone(), entries);
     let (news_sender, news) = mpsc::unbounded_channel();
     let (found_sender, found) = mpsc::unbounded_channel();
     let (link_sender, link) = mpsc::unbounded_channel();
@@ -80,7 +98,6 @@ pub async fn run(
     shell.turn(news, found, link, &stop).await;
     linking.abort();
     shell.drop_tasks();
-    Ok(())
 }
 
 struct Shell {

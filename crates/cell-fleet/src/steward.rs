@@ -177,7 +177,9 @@ fn over(claim: &Claim) -> bool {
 /// not done again under its name.
 fn can_be_given(claim: &Claim, wish: &Wish) -> bool {
     let has_text = !claim.job.text.is_empty();
-    claim.job.epoch == wish.epoch && has_text && claim.state != ClaimState::Cancelled
+    let moved = matches!(claim.state, ClaimState::Begun | ClaimState::Ended);
+    let of_this_epoch = claim.job.epoch == wish.epoch && (wish.begun || !moved);
+    of_this_epoch && has_text && claim.state != ClaimState::Cancelled
 }
 
 /// The holder of a claim is away, or lives and does not know of it.

@@ -54,7 +54,7 @@ fn every_payload_fits_its_schema_and_names_no_field_that_it_has_not() {
     (claim.outcome, claim.reasons) = (Some(outcome.clone()), [("c1".to_string(), "no".to_string())].into());
     fits("claim", &claim);
     fits("refusal", &Refusal { version: VERSION, epoch: 1, reason: "no".into(), unix_s: 1.0 });
-    fits("wish", &Wish { version: VERSION, epoch: 1, target: Some("any".into()), unix_s: 1.0 });
+    fits("wish", &Wish { version: VERSION, epoch: 1, target: Some("any".into()), begun: true, unix_s: 1.0 });
     fits("ask", &Ask { version: VERSION, job: "a".into(), plan: Some(3) });
     fits("answer", &Answer { version: VERSION, accepted: true, message: "yes".into() });
     let cell = CellState {

@@ -7,7 +7,7 @@ use crate::cli::fleet::words::words;
 use crate::cli::task::outln;
 use crate::jobs::utc;
 use cell_fleet::client::{Client, Story};
-use cell_fleet::payloads::{Claim, ClaimState};
+use cell_fleet::payloads::Claim;
 use cell_fleet::subjects::{Asked, Target};
 use clap::Args;
 use std::fmt::Write as _;
@@ -123,16 +123,7 @@ pub async fn give(args: &GiveArgs) -> Result<(), Failure> {
         return Err(Failure::Usage(format!("{to:?} names no cells: write cell=NAME, label=NAME, or any")));
     }
     let client = args.reach.client().await?;
-    let story = client.why(&args.job).await?;
-    if let Some(claim) = story.claim.as_ref().filter(|claim| claim.state == ClaimState::Begun && !args.yes) {
-        let cell = &claim.cell;
-        return Err(Failure::Failed(format!(
-            "cell {cell} has begun job {}, and its objects are on that table; when the table of {cell} was seen to, \
-             add --yes",
-            args.job
-        )));
-    }
-    let claim = client.give(&args.job, args.to.clone()).await?;
+    let claim = client.give(&args.job, args.to.clone(), args.yes).await?;
     let to = args.to.as_deref().unwrap_or(&claim.target);
     outln!("{}: goes back into the queue for {to}", args.job);
     Ok(())
@@ -183,7 +174,7 @@ fn head(claim: &Claim) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cell_fleet::payloads::{Event, Job, VERSION, What};
+    use cell_fleet::payloads::{ClaimState, Event, Job, VERSION, What};
     use cell_fleet::subjects::{Lane, Priority};
 
     #[test]

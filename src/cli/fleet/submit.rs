@@ -109,12 +109,21 @@ async fn campaign(
     if cells.is_empty() {
         return Err(Failure::Failed("no cell of the fleet has this label".to_string()));
     }
+    let mut faults = Vec::new();
     for cell in cells {
         let job = payload(&format!("{id}.{}", cell.name), spec, Some(id))?;
         let target = Target::Cell(cell.name.clone());
-        put(client, &job, &Lane { priority, target }).await?;
+        // One that does not get its job keeps none from the others.
+        if let Err(Failure::Usage(fault) | Failure::Failed(fault)) =
+            put(client, &job, &Lane { priority, target }).await
+        {
+            faults.push(format!("{}: {fault}", cell.name));
+        }
     }
-    Ok(())
+    if faults.is_empty() {
+        return Ok(());
+    }
+    Err(Failure::Failed(faults.join("\n")))
 }
 
 async fn put(client: &Client, job: &Job, lane: &Lane) -> Result<(), Failure> {

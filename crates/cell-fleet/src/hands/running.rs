@@ -6,6 +6,11 @@ use super::{Hand, LOOK_EVERY, Step};
 use crate::payloads::{Claim, ClaimState, Outcome, What};
 use crate::values::{Effect, Kept, Local};
 use crate::world::World;
+use cell_values::time::Duration;
+
+/// A job that goes on although it was ordered to be given up is ordered so again after this: the order may
+/// have come before the cell knew the job, or before it took orders.
+const CANCEL_AGAIN: Duration = Duration::from_secs(5);
 
 impl Hand {
     /// What the journal says.
@@ -14,10 +19,8 @@ impl Hand {
             return;
         }
         match state {
-            Local::Unknown => {
-                self.go(world, Step::HandingIn);
-                world.want(Effect::HandIn(Box::new(self.entry.job.clone())));
-            }
+            Local::Unknown if self.given_away => self.forget(world),
+            Local::Unknown => self.confirm(world),
             Local::Open => {
                 self.order_cancel(world);
                 self.later(world, LOOK_EVERY);
@@ -41,10 +44,36 @@ impl Hand {
             true => Some("the fleet, which gave it to another cell".to_string()),
             false => world.cancelled_by(self.id()).map(str::to_string),
         };
-        if let Some(by) = by.filter(|_| !self.cancel_ordered) {
-            self.cancel_ordered = true;
+        let now = world.at.now;
+        let due = self.cancelled_at.is_none_or(|at| now.since(at) >= CANCEL_AGAIN);
+        if let Some(by) = by.filter(|_| due) {
+            self.cancelled_at = Some(now);
             world.want(Effect::Cancel { job: self.id().to_string(), by });
         }
+    }
+
+    /// Into the spool, the claim being this cell's a moment ago.
+    pub(super) fn hand_in(&mut self, world: &mut World) {
+        self.go(world, Step::HandingIn);
+        world.want(Effect::HandIn(Box::new(self.entry.job.clone())));
+    }
+
+    /// Begun, and in neither spool nor journal: nothing has moved, and a person may have given it to another
+    /// cell since. Without the network it waits.
+    pub(super) fn confirm(&mut self, world: &mut World) {
+        self.go(world, Step::Confirming);
+        self.again = Some(world.at.now);
+    }
+
+    /// The claim was read; none means that the server has lost what it stored.
+    pub(super) fn confirmed(&mut self, world: &mut World) {
+        if self.claim.is_none() || self.is_mine(world, ClaimState::Begun) {
+            return self.hand_in(world);
+        }
+        let message = "a person gave the job to another cell before it went into the spool here".to_string();
+        let what = What::Fault { code: "given_away".to_string(), message };
+        world.want(Effect::Tell { job: Some(self.id().to_string()), what });
+        self.forget(world);
     }
 
     /// The claim of a job that runs here was read.

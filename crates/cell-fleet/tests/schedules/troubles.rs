@@ -106,5 +106,5 @@ impl World {
 }
 
 fn wish(epoch: u32) -> Wish {
-    Wish { version: VERSION, epoch, target: None, unix_s: 0.0 }
+    Wish { version: VERSION, epoch, target: None, begun: true, unix_s: 0.0 }
 }

@@ -251,7 +251,7 @@ impl Cell {
             let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build();
             runtime.unwrap().block_on(async {
                 tokio::select! {
-                    ended = run(settings, Box::new(side), stopped) => ended.unwrap(),
+                    () = run(settings, Box::new(side), stopped) => {}
                     _ = killed => {}
                 }
             });
