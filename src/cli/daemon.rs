@@ -242,6 +242,7 @@ async fn daemon(
     let mut model = cell_model(&config, &measured).map_err(|error| error.to_string())?;
     model.gripper_confirmed |= confirmed;
     (model.held_before, model.cut_off) = (keeper.held_before(), keeper.cut_off());
+    model.plans_before = keeper.plans_before();
     for pose in blocked_poses(&config, &model) {
         tracing::warn!("taught pose {pose}; the arm will not go there");
     }

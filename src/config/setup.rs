@@ -115,6 +115,7 @@ fn model_of(config: &CellConfig, measured: &Measured, objects: Vec<CellObject>) 
         addresses: DeviceAddresses { robot, gripper },
         gripper_confirmed: config.simulation.is_some(),
         held_before: None,
+        plans_before: 0,
         cut_off: None,
         arm: arm_model(config, measured.dh, measured.base_from_table),
         cycle: cycle_parameters(config),
@@ -464,11 +465,10 @@ pub fn drawn_search(config: &CellConfig, lens: &CameraModel) -> Result<ForeignSe
 
 /// From where on the camera counts as moved.
 pub fn drift_limits(config: &CellConfig) -> DriftLimits {
-    let tolerances = &config.tolerances;
     DriftLimits {
-        residual_m: tolerances.reference_residual_m,
-        shift_m: tolerances.reference_shift_m,
-        turn_rad: tolerances.reference_turn_rad,
+        residual_m: config.tolerances.reference_residual_m,
+        shift_m: config.tolerances.reference_shift_m,
+        turn_rad: config.tolerances.reference_turn_rad,
     }
 }
 

@@ -73,6 +73,7 @@ pub struct StateKeeper {
     undrawn: bool,
     notices: Vec<String>,
     held_before: Option<HeldBefore>,
+    plans_before: u64,
     cut_off: Option<CutOff>,
     identities: Identities,
     last_answers: LastAnswers,
@@ -116,7 +117,7 @@ impl StateKeeper {
         )?;
         spool.reconcile_at_start(&mut journal)?;
         let (started_unix_s, disk) = (now, Disk::of(state.root()));
-        let held_before = held_before(&journal)?;
+        let (held_before, plans_before) = (held_before(&journal)?, journal.highest_plan()?);
         Ok(StateKeeper {
             config,
             state,
@@ -131,6 +132,7 @@ impl StateKeeper {
             undrawn: false,
             notices,
             held_before,
+            plans_before,
             cut_off,
             identities: Identities::default(),
             last_answers: LastAnswers::default(),
@@ -182,6 +184,11 @@ impl StateKeeper {
     /// What was gripped and not let go when an earlier celld ended.
     pub fn held_before(&self) -> Option<HeldBefore> {
         self.held_before.clone()
+    }
+
+    /// The highest number of a plan that an earlier celld made, as far as the journal has it.
+    pub fn plans_before(&self) -> u64 {
+        self.plans_before
     }
 
     /// What the recovery found, once.

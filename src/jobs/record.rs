@@ -264,8 +264,8 @@ pub struct JobResult {
 /// A plan as it was made.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PlanRecord {
-    /// Which plan of its celld it is, from 1: a person agrees to this one. 0: a draft, or of an earlier
-    /// version.
+    /// Which plan of its cell it is, from 1, going on after a restart: a person agrees to this one. 0: a
+    /// draft, or of an earlier version.
     #[serde(default)]
     pub number: u64,
     /// All of it, in order.

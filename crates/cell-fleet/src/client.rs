@@ -267,8 +267,8 @@ impl Client {
     }
 
     /// Gives a job to another cell, or to whichever takes it. `seen_to`: the person has looked at the table
-    /// of the cell that had begun it; without, a job that is begun, now or by the time of the decision, stays
-    /// where it is.
+    /// of the cell that had begun it; without, a job that is begun, now or by the time of the decision,
+    /// stays where it is.
     ///
     /// # Errors
     /// Nothing is known of the job, it was done or begun, or the server does not take it.

@@ -454,6 +454,17 @@ impl Journal {
         self.change(id, "note what it found", update, params![id, encode(&objects), encode(&goals)])
     }
 
+    /// The highest number of the plans that are noted, 0 where none is.
+    ///
+    /// # Errors
+    /// As [`Journal::waiting`].
+    pub fn highest_plan(&self) -> Result<u64, JournalError> {
+        let query =
+            "SELECT coalesce(max(json_extract(plan, '$.number')), 0) FROM jobs WHERE json_valid(plan)";
+        let highest: i64 = self.database.query_row(query, [], |row| row.get(0)).map_err(|e| self.fail(e))?;
+        Ok(u64::try_from(highest).unwrap_or(0))
+    }
+
     /// Notes what is planned; an earlier plan of the job is forgotten.
     ///
     /// # Errors

@@ -217,6 +217,10 @@ fn what_is_found_planned_and_approved_is_there_after_a_restart() {
         sight_age_s: 40.0,
         unix_s: NOW,
     };
+    assert_eq!(journal.highest_plan().unwrap(), 0);
+    journal.planned("a", &plan).unwrap();
+    journal.planned("a", &PlanRecord { number: 7, ..plan.clone() }).unwrap();
+    assert_eq!(journal.highest_plan().unwrap(), 7);
     journal.planned("a", &plan).unwrap();
     journal.approve("a").unwrap();
     journal.planned("a", &PlanRecord { steps: Vec::new(), ..plan.clone() }).unwrap();

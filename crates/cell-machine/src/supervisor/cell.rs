@@ -96,6 +96,7 @@ impl Supervisor {
     /// A disarmed cell without a job. `nonce_seed` must differ from run to run.
     pub fn new(mut model: CellModel, nonce_seed: u64) -> Supervisor {
         let last_stop = model.cut_off.take().map(LastStop::of);
+        let plans = model.plans_before;
         Supervisor {
             model,
             robot: KnownRobot::default(),
@@ -104,7 +105,7 @@ impl Supervisor {
             ledger: Ledger::default(),
             job: None,
             round: None,
-            plans: 0,
+            plans,
             seen: None,
             seen_at: Timestamp::ZERO,
             glance: None,

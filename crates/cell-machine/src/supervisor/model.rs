@@ -176,6 +176,9 @@ pub struct CellModel {
     pub held_before: Option<HeldBefore>,
     /// The job that was cut off when an earlier celld ended: a stop that is still to be left.
     pub cut_off: Option<CutOff>,
+    /// The highest number of a plan that an earlier celld made for a job that is kept: later ones go on from
+    /// it, so that no person agrees to another plan by an old number.
+    pub plans_before: u64,
     /// Arm, table pose and limits.
     pub arm: ArmModel,
     /// Heights and speeds of a cycle; `tallest` covers every object of the catalogue.

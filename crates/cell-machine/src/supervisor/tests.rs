@@ -76,6 +76,7 @@ fn model() -> CellModel {
         addresses: DeviceAddresses { robot: "10.0.0.2".into(), gripper: "10.0.0.3:502, unit 65".into() },
         gripper_confirmed: true,
         held_before: None,
+        plans_before: 0,
         cut_off: None,
         arm: ArmModel {
             dh: DhParameters::UR5E,
