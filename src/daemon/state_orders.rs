@@ -82,20 +82,6 @@ impl StateOrders {
             tracing::warn!(%error, "a command could not be answered");
         }
     }
-
-    /// What a person has confirmed is remembered before it is answered; the answer says where it cannot be.
-    fn remember(&self, taken: &Taken, reply: &Reply) -> Reply {
-        if !reply.accepted || taken.command != Command::ConfirmGripper {
-            return reply.clone();
-        }
-        match self.state.confirm_gripper(&self.gripper, unix_now_s()) {
-            Ok(()) => reply.clone(),
-            Err(error) => {
-                let fault = chain(&error);
-                Reply::accept(format!("{}; not remembered for the next start: {fault}", reply.message))
-            }
-        }
-    }
 }
 
 impl Orders for StateOrders {
@@ -129,8 +115,23 @@ impl Orders for StateOrders {
         } else {
             tracing::warn!(?command, uid, "order refused: {}", reply.message);
         }
-        if let Err(error) = self.inbox.reply(&taken, &self.remember(&taken, reply)) {
+        let order = taken.command.order();
+        let reply = order.map_or_else(|| reply.clone(), |order| self.remember(&order, reply));
+        if let Err(error) = self.inbox.reply(&taken, &reply) {
             tracing::warn!(%error, "a command could not be answered");
+        }
+    }
+
+    fn remember(&self, order: &Order, reply: &Reply) -> Reply {
+        if !reply.accepted || *order != Order::ConfirmGripper {
+            return reply.clone();
+        }
+        match self.state.confirm_gripper(&self.gripper, unix_now_s()) {
+            Ok(()) => reply.clone(),
+            Err(error) => {
+                let fault = chain(&error);
+                Reply::accept(format!("{}; not remembered for the next start: {fault}", reply.message))
+            }
         }
     }
 }

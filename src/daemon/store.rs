@@ -56,6 +56,12 @@ pub trait Orders: Send + 'static {
 
     /// Answers one.
     fn reply(&mut self, number: u64, reply: &Reply);
+
+    /// Remembers what a person has confirmed by an order, wherever it came from; the answer then says where
+    /// it cannot be.
+    fn remember(&self, _order: &Order, reply: &Reply) -> Reply {
+        reply.clone()
+    }
 }
 
 /// No source of orders: the demo.

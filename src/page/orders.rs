@@ -69,8 +69,8 @@ pub fn desk<O: Orders>() -> (Desk, impl FnOnce(O) -> WithPage<O>) {
 
 impl<O: Orders> Orders for WithPage<O> {
     fn take(&mut self) -> Vec<(u64, Order)> {
-        // Those of the page first: they wait in memory, the others on a disk.
-        let mut orders = Vec::new();
+        // The disk first, which may take its time: the age of the page's orders counts after it.
+        let mut orders = self.state.take();
         self.unanswered.retain(|(_, given)| !given.answer.is_closed());
         while let Ok(given) = self.page.try_recv() {
             if given.at.elapsed().as_secs_f64() > COUNTS_FOR_S && !given.order.only_stops() {
@@ -82,7 +82,9 @@ impl<O: Orders> Orders for WithPage<O> {
             orders.push((self.last, given.order.clone()));
             self.unanswered.push((self.last, given));
         }
-        orders.extend(self.state.take());
+        // Of what came together, what stops is decided last: an order to arm that lay in the folder does not
+        // undo a disarming that a person was told of.
+        orders.sort_by_key(|(_, order)| order.only_stops());
         orders
     }
 
@@ -97,7 +99,11 @@ impl<O: Orders> Orders for WithPage<O> {
             tracing::warn!(?order, by, "order refused: {}", reply.message);
         }
         // Who gave it may have gone.
-        let _ = answer.send(reply.clone());
+        let _ = answer.send(self.state.remember(&order, reply));
+    }
+
+    fn remember(&self, order: &Order, reply: &Reply) -> Reply {
+        self.state.remember(order, reply)
     }
 }
 
@@ -116,6 +122,10 @@ mod tests {
         fn reply(&mut self, number: u64, reply: &Reply) {
             self.1.push((number, reply.clone()));
         }
+
+        fn remember(&self, order: &Order, reply: &Reply) -> Reply {
+            Reply { message: format!("{order:?}: {}", reply.message), ..reply.clone() }
+        }
     }
 
     #[tokio::test]
@@ -131,8 +141,21 @@ mod tests {
         let of_page = taken.iter().find(|(_, order)| *order == Order::Pause).expect("the page's").0;
         orders.reply(of_page, &Reply::accept("paused"));
         orders.reply(1, &Reply::refuse("not armed"));
-        assert_eq!(asked.await.unwrap(), Reply::accept("paused"));
+        assert_eq!(asked.await.unwrap(), Reply::accept("Pause: paused"), "what is confirmed is remembered");
         assert_eq!(orders.state.1, [(1, Reply::refuse("not armed"))]);
+    }
+
+    #[tokio::test]
+    async fn what_stops_is_decided_after_what_came_with_it() {
+        let (desk, join) = desk();
+        let mut orders = join(Folder(vec![(1, Order::Arm), (2, Order::Abort)], Vec::new()));
+        for order in [Order::Disarm, Order::Resume] {
+            let (answer, answered) = oneshot::channel();
+            desk.0.try_send(Given { order, by: "anna".into(), at: Instant::now(), answer }).unwrap();
+            std::mem::forget(answered);
+        }
+        let taken: Vec<Order> = orders.take().into_iter().map(|(_, order)| order).collect();
+        assert_eq!(taken, [Order::Arm, Order::Resume, Order::Abort, Order::Disarm]);
     }
 
     #[tokio::test]

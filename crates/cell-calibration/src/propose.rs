@@ -15,6 +15,7 @@ use crate::fit::fixed::{FixedGuess, board_markers, solve_fixed};
 use crate::fit::hand_eye::solve_hand_eye;
 use crate::fit::{CalibrateError, HandEyeGuess, HandEyeSettings, Sample, TransformStd};
 use crate::propose::scene::{Carried, SEEN_MIN, Scene};
+use cell_motion::bodies::Room;
 use cell_motion::path::ArmModel;
 use cell_motion::slow::{CalibrationBox, slow_move};
 use cell_values::units::{Joints, deg_from_rad, mm_from_m};
@@ -82,7 +83,7 @@ pub fn from_here(
     count: usize,
 ) -> Result<Proposal, String> {
     // The same pose is no move, but says whether the arm is in the box.
-    slow_move(arm, Some(room(drawn)?), 1, &q, q).map_err(|error| chain(&error))?;
+    slow_move(arm, Some(room(drawn)?), &Room::empty(), 1, &q, q).map_err(|error| chain(&error))?;
     proposal(drawn, lens, arm, Some(q), count)
 }
 
@@ -205,7 +206,7 @@ fn pose(scene: &Scene, from: Option<&Joints>, tilt: f64, turn: usize, number: us
         let q = scene.model.joints_in_work_posture(&tool, near)?;
         let from = from.unwrap_or(&q);
         let goes = scene.visible(&q).len() >= SEEN_MIN
-            && slow_move(scene.model, Some(scene.room), number, from, q).is_ok()
+            && slow_move(scene.model, Some(scene.room), &Room::empty(), number, from, q).is_ok()
             && scene.keeps_clear(from, &q);
         goes.then_some(q)
     })

@@ -73,21 +73,23 @@ pub enum SlowFault {
     },
 }
 
-/// The check that every move of a calibration passes: reach, limits and heights of the arm, and that the
-/// flange stays in the taught box where there is one. `pose` is the number that faults name.
+/// The check that every move of a calibration passes: reach, limits and heights of the arm, what may lie on
+/// the table (`over`), and that the flange stays in the taught box where there is one. `pose` is the number
+/// that faults name.
 ///
 /// # Errors
 /// [`SlowFault`].
 pub fn slow_move(
     model: &ArmModel,
     room: Option<&CalibrationBox>,
+    over: &Room,
     pose: usize,
     from: &Joints,
     target: Joints,
 ) -> Result<CheckedPath, SlowFault> {
     let speed = slow_enough(model, from, &target);
     let segment = Segment::Joint { target, speed, acceleration: model.limits.joint_acceleration, blend: 0.0 };
-    let path = CheckedPath::new(model, from, &[Leg::over(segment, FLOOR)], &Room::empty())
+    let path = CheckedPath::new(model, from, &[Leg::over(segment, FLOOR)], over)
         .map_err(|fault| SlowFault::Path { pose, fault })?;
     let Some(room) = room else { return Ok(path) };
     for k in 0..=TRAVEL_SAMPLES {
@@ -154,7 +156,9 @@ mod tests {
             CalibrationBox { low_m: wide.low_m.map(|v| v - 0.01), high_m: wide.high_m.map(|v| v + 0.01) }
         };
         let move_in = |room: &CalibrationBox, from: &Joints, to: Joints| {
-            slow_move(&model, Some(room), 7, from, to).map(|_| ()).map_err(|error| error.to_string())
+            slow_move(&model, Some(room), &Room::empty(), 7, from, to)
+                .map(|_| ())
+                .map_err(|error| error.to_string())
         };
         let steps: Vec<Joints> = (-8..=8).map(|k| turned(0.1 * f64::from(k))).collect();
         move_in(&around(&steps), &from, to).unwrap();
@@ -175,7 +179,7 @@ mod tests {
         bound[axis] = at(&before)[axis];
         let reported = move_in(&short, &from, to).unwrap_err();
         assert!(reported.starts_with("calibration pose 7 is"), "{reported}");
-        slow_move(&model, None, 7, &from, to).unwrap();
+        slow_move(&model, None, &Room::empty(), 7, &from, to).unwrap();
     }
 
     #[test]

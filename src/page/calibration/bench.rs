@@ -52,8 +52,11 @@ impl Bench {
         }
     }
 
-    /// The round has ended.
+    /// The round has ended; one that took no picture has nothing in common with the one before it.
     pub fn round_over(&mut self, result: Result<(), RoundFault>) {
+        if self.round.as_ref().is_some_and(RoundWork::is_over) {
+            (self.round, self.solved, self.kept) = (None, None, None);
+        }
         self.round.get_or_insert_default().ended(result);
     }
 
@@ -78,6 +81,8 @@ impl Bench {
         let date = request.date.to_string();
         let measured =
             self.lens.as_ref().and_then(|lens| lens.calibration(&known.lens.model.serial, date.clone()));
+        // The table alone is seen through the lens for which the camera's place was found.
+        let measured = measured.filter(|_| request.wanted != Wanted::Table);
         let lens = measured.unwrap_or_else(|| known.lens.clone());
         let asked = Asked { wanted: request.wanted, dropped: request.dropped, touches, lens, date };
         solve(config, known, round, asked)
@@ -117,5 +122,22 @@ impl Bench {
             "touches": self.touches.as_ref().map(|touches| touches.view(config)), "solved": solved,
             "fault": fault, "kept": self.kept,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Isometry3;
+
+    #[test]
+    fn a_round_that_took_no_picture_leaves_nothing_of_the_one_before() {
+        let mut bench = Bench::default();
+        let sample = Sample { base_from_flange: Isometry3::identity(), detections: Vec::new() };
+        bench.pictured(1, Image::filled(4, 4, [0; 3]), sample);
+        bench.round_over(Ok(()));
+        assert!(bench.jpeg("round-1").is_some());
+        bench.round_over(Err(RoundFault::Robot("the arm was moved".into())));
+        assert!(bench.jpeg("round-1").is_none());
     }
 }

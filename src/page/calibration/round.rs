@@ -50,6 +50,11 @@ impl RoundWork {
         self.samples.push(sample);
     }
 
+    /// Nothing more comes of it.
+    pub fn is_over(&self) -> bool {
+        self.over.is_some()
+    }
+
     /// It has ended.
     pub fn ended(&mut self, result: Result<(), RoundFault>) {
         self.over = Some(result.map_err(|fault| chain(&fault)));

@@ -110,7 +110,9 @@ impl Supervisor {
         let Some(target) = round.order.poses.get(round.at).copied() else {
             return self.end_round(Ok(()), out);
         };
-        match slow_move(&self.model.arm, round.order.room.as_ref(), round.at + 1, &robot.q, target) {
+        // What lies on the table was perhaps not seen, and nothing of it is looked at on the way.
+        let (room, over) = (round.order.room.as_ref(), self.unseen_room());
+        match slow_move(&self.model.arm, room, &over, round.at + 1, &robot.q, target) {
             Ok(path) => {
                 out.push(Action::Robot(RobotCommand::Stream(path)));
                 self.enter(Phase::Visit(Visit::Moving), POSE_WITHIN);

@@ -21,6 +21,24 @@ fn a_calibration_round_ends_with_its_cell_disarmed_and_takes_no_pace() {
     assert_eq!(answer(&disarmed), None);
 }
 
+/// A pose over the table at a height that the tallest object of the catalogue reaches.
+#[test]
+fn a_calibration_round_keeps_off_what_may_lie_on_the_table() {
+    let target = Joints([-1.5, -1.6, 1.9, -1.9, -1.57, 0.0]);
+    let height = model().arm.tool_at(&target).translation.vector.z;
+    for (tallest, moves) in [(0.02, 1), (height + 0.05, 0)] {
+        let mut bench = Bench::new();
+        let mut model = model();
+        model.cycle.tallest = tallest;
+        bench.cell = Supervisor::new(model, 7);
+        let round = RoundOrder { poses: vec![target], room: None };
+        let mut all = bench.feed(Input::Round(Box::new(round)));
+        all.extend(bench.ticks(20));
+        let refused = all.iter().any(|action| matches!(action, Action::RoundOver(Err(RoundFault::Move(_)))));
+        assert_eq!((streams(&all), refused), (moves, moves == 0), "{tallest} m: {all:?}");
+    }
+}
+
 /// What a person orders at the page has the gates of any motion, and arms nothing.
 #[test]
 fn a_calibration_round_is_ordered_in_an_armed_cell_that_rests() {
