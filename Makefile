@@ -165,7 +165,8 @@ test: setup tidy
 	  cargo nextest run $(TESTED) --no-run; \
 	  sync; \
 	  echo "cargo nextest run"; \
-	  chrt --idle 0 cargo test --quiet --no-fail-fast $(SHARED:%=-p %) --lib -- --test-threads 1 --skip realsense::tests:: \
+	  idle="chrt --idle 0"; $$idle true 2>/dev/null || idle="nice -n 19"; \
+	  $$idle cargo test --quiet --no-fail-fast $(SHARED:%=-p %) --lib -- --test-threads 1 --skip realsense::tests:: \
 	    >$(UNITS_LOG) 2>&1 & units=$$!; \
 	  cells=0; cargo nextest run $(TESTED) --profile cells --test-threads 4 -E '$(CELLS)' || cells=1; \
 	  wait $$units || { cat $(UNITS_LOG); exit 1; }; \
