@@ -125,6 +125,7 @@ fn what_was_begun_and_is_not_in_the_spool_goes_there_only_while_its_claim_is_our
         let effects = bench.take(Input::Local { job: "tidy".into(), state: Local::Unknown });
         assert!(!hands_in(&effects), "not without the network: {effects:?}");
         assert!(!hands_in(&bench.after(60)));
+        assert!(bench.agent.next_wake() > bench.now, "nothing is due before there is a network");
         bench.take(Input::Connected);
         bench.after(1);
         assert_eq!(hands_in(&bench.read(found.clone())), goes_on, "{found:?}");

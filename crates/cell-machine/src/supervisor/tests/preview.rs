@@ -213,3 +213,14 @@ fn a_plan_that_needs_approval_waits_for_it() {
     assert_eq!(streams(&bench.ticks(500)), 0, "what a person saw is not what waits");
     assert_eq!(streams(&bench.feed(order(Order::Approve { id: "j".into(), plan: number }))), 1);
 }
+
+/// A person who saw plan 7 before a restart does not agree to the next celld's first one.
+#[test]
+fn plans_are_numbered_on_from_those_of_an_earlier_celld() {
+    let mut bench = Bench::new();
+    bench.cell = Supervisor::new(CellModel { plans_before: 7, ..model() }, 7);
+    bench.job(true);
+    bench.until_planning();
+    let numbers: Vec<u64> = plan_notes(&bench.plan()).iter().map(|note| note.number).collect();
+    assert_eq!(numbers, [8]);
+}
