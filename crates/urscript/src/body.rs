@@ -4,12 +4,12 @@
 
 use crate::code::Instruction;
 use crate::fault::Position;
-use std::sync::Arc;
+use crate::scope::Names;
 
 /// A function under construction.
 #[derive(Default)]
 pub(crate) struct Body {
-    pub(crate) locals: Vec<Arc<str>>,
+    pub(crate) locals: Names,
     pub(crate) instructions: Vec<Instruction>,
     pub(crate) positions: Vec<Position>,
     /// Per open loop: where `continue` goes, and the jumps that `break` left open.

@@ -6,6 +6,7 @@
 use crate::ast::{Binary, FunctionKind, Qualifier, Unary};
 use crate::fault::Position;
 use crate::host::Builtin;
+use crate::scope::Names;
 use crate::value::Value;
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -29,8 +30,8 @@ pub type Parameters = Vec<(Arc<str>, bool)>;
 /// The names of a program's first level, for statements that join it while it runs.
 #[derive(Clone, Debug, Default)]
 pub struct ProgramScope {
-    /// Global variables, by slot.
-    pub globals: Vec<Arc<str>>,
+    /// Global variables, each with its slot.
+    pub globals: Names,
     /// Functions and threads, by name.
     pub functions: HashMap<Arc<str>, usize>,
     /// Parameters of all functions.

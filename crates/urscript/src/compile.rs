@@ -12,9 +12,10 @@ use crate::body::Body;
 use crate::code::{Code, FunctionCode, Instruction, Parameters, PathStep, ProgramScope, Variable};
 use crate::fault::{CompileError, CompileErrorKind, Position};
 use crate::host::Builtin;
+use crate::scope::Names;
 use crate::value::Value;
 use crate::{library, methods, parser, scope};
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 /// Looks up a built-in of the host by name.
@@ -35,7 +36,9 @@ pub fn compile(text: &str, host: LookUp<'_>) -> Result<Code, CompileError> {
 /// outside a `while`.
 pub fn compile_script(script: &Script, host: LookUp<'_>) -> Result<Code, CompileError> {
     let program = &script.main;
-    let mut compiler = Compiler::new(host, scope::globals(program));
+    let mut globals = Names::default();
+    scope::add_globals(program, &mut globals);
+    let mut compiler = Compiler::new(host, globals);
     let names = compiler.first_level(program)?;
     let kind = if program.kind == FunctionKind::Sec { FunctionKind::Sec } else { FunctionKind::Def };
     Ok(compiler.code(program.name.clone(), kind, names))
@@ -49,7 +52,7 @@ pub(crate) struct Declared {
 
 pub(crate) struct Compiler<'a> {
     host: LookUp<'a>,
-    globals: Vec<Arc<str>>,
+    globals: Names,
     pub(crate) functions: Vec<Declared>,
     /// Functions by name, outermost scope first.
     pub(crate) visible: Vec<HashMap<Arc<str>, usize>>,
@@ -58,7 +61,7 @@ pub(crate) struct Compiler<'a> {
 }
 
 impl<'a> Compiler<'a> {
-    pub(crate) fn new(host: LookUp<'a>, globals: Vec<Arc<str>>) -> Compiler<'a> {
+    pub(crate) fn new(host: LookUp<'a>, globals: Names) -> Compiler<'a> {
         Compiler { host, globals, functions: Vec::new(), visible: Vec::new(), first: 0 }
     }
 
@@ -103,11 +106,11 @@ impl<'a> Compiler<'a> {
         }
         self.visible.push(names);
         let mut body = Body::default();
-        function.parameters.iter().for_each(|parameter| scope::add(&mut body.locals, &parameter.name));
+        function.parameters.iter().for_each(|parameter| body.locals.add(&parameter.name));
         let assigned = scope::assigned(&function.body);
-        assigned.local.iter().for_each(|name| scope::add(&mut body.locals, name));
+        assigned.local.iter().for_each(|name| body.locals.add(name));
         if index != self.first {
-            assigned.plain.iter().for_each(|name| scope::add(&mut body.locals, name));
+            assigned.plain.iter().for_each(|name| body.locals.add(name));
         }
         self.defaults(function, &mut body)?;
         self.statements(&function.body, &mut body)?;
@@ -120,7 +123,7 @@ impl<'a> Compiler<'a> {
         let names = self.visible.pop().unwrap_or_default();
         self.functions[index].code = Some(Arc::new(FunctionCode {
             name: function.name.clone(),
-            locals: body.locals.len(),
+            locals: body.locals.count(),
             instructions: body.instructions,
             positions: body.positions,
         }));
@@ -287,11 +290,7 @@ impl<'a> Compiler<'a> {
     }
 
     fn variable(&self, name: &Arc<str>, body: &Body) -> Variable {
-        Variable {
-            name: name.clone(),
-            local: body.locals.iter().position(|local| local == name),
-            global: self.globals.iter().position(|global| global == name),
-        }
+        Variable { name: name.clone(), local: body.locals.place(name), global: self.globals.place(name) }
     }
 
     fn expression(&mut self, expression: &Expression, body: &mut Body) -> Result<(), CompileError> {
@@ -413,8 +412,9 @@ impl<'a> Compiler<'a> {
         body: &mut Body,
     ) -> Result<Instruction, CompileError> {
         let mut names: Vec<Arc<str>> = Vec::new();
+        let mut known = HashSet::new();
         for argument in arguments {
-            let Some(name) = argument.name.as_ref().filter(|&name| !names.contains(name)) else {
+            let Some(name) = argument.name.as_ref().filter(|&name| known.insert(name)) else {
                 return Err(wrong_arguments(
                     at,
                     "each member of a struct needs a name of its own".to_owned(),

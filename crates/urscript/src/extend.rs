@@ -20,7 +20,7 @@ pub fn extend(code: &Code, text: &str, host: LookUp<'_>) -> Result<(Code, usize)
     parser::parse(text)?;
     let script = parser::parse(&format!("def statement(): {text}\nend\n"))?;
     let mut globals = code.scope.globals.clone();
-    scope::globals(&script.main).iter().for_each(|name| scope::add(&mut globals, name));
+    scope::add_globals(&script.main, &mut globals);
     let mut compiler = Compiler::new(host, globals);
     let known = code.functions.iter().zip(&code.scope.parameters);
     compiler.functions = known

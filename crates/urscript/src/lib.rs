@@ -15,6 +15,8 @@ pub mod ast;
 
 mod body;
 
+mod bounds;
+
 pub mod code;
 
 pub mod compile;

@@ -5,6 +5,7 @@
 //! arithmetic wraps at 32 bits, `%` has the sign of the dividend, dividing by zero is an exception.
 
 use crate::ast::{Binary, Unary};
+use crate::bounds::{MAX_ELEMENTS, TOO_LARGE};
 use crate::value::{List, Value};
 use std::sync::Arc;
 
@@ -153,14 +154,23 @@ fn matrix_product(a: &[Value], b: &[Value]) -> Result<Value, String> {
         b.iter().map(|value| value.number().map(|number| vec![number])).collect::<Result<_, String>>()?
     };
     let width = columns.first().map_or(0, Vec::len);
-    if rows.iter().any(|row| row.len() != columns.len()) || columns.iter().any(|row| row.len() != width) {
+    if width == 0
+        || rows.iter().any(|row| row.len() != columns.len())
+        || columns.iter().any(|row| row.len() != width)
+    {
         return Err("the sizes of the matrices do not fit".to_owned());
+    }
+    // A column times a row is larger than both: it is counted before it is made.
+    if rows.len().saturating_mul(width + 1) >= MAX_ELEMENTS {
+        return Err(TOO_LARGE.to_owned());
     }
     let cell =
         |row: &[f64], column: usize| -> f64 { row.iter().zip(&columns).map(|(a, b)| a * b[column]).sum() };
     let product = rows.iter().map(|row| (0..width).map(|column| cell(row, column)).collect::<Vec<f64>>());
     Ok(Value::list(
-        product.map(|row| if is_matrix { Value::numbers(row) } else { Value::Float(row[0]) }).collect(),
+        product
+            .map(|row| if is_matrix { Value::numbers(row) } else { Value::Float(row.iter().sum()) })
+            .collect(),
     ))
 }
 

@@ -24,6 +24,10 @@ use std::sync::Arc;
 /// Instructions a thread may take in one frame.
 pub const SLICE: u32 = 100_000;
 
+/// Instructions that all threads of a program may take together in one frame: a thread that starts others
+/// and joins them gets no more of the frame with each of them.
+const FRAME_SLICE: u32 = 10 * SLICE;
+
 /// Threads that may live at once.
 const MAX_THREADS: usize = 64;
 
@@ -67,6 +71,24 @@ struct Scheduled {
     lent: u32,
 }
 
+impl Scheduled {
+    /// Runs the thread within its own budget and what the frame has `left` for all.
+    fn run(
+        &mut self,
+        shared: &mut Shared,
+        host: &mut dyn Host,
+        left: &mut u32,
+    ) -> Result<Event, RuntimeException> {
+        let most = self.budget.min(*left);
+        let mut budget = most;
+        let event = self.thread.run(shared, host, &mut budget);
+        let used = most - budget;
+        self.budget -= used;
+        *left -= used;
+        event
+    }
+}
+
 /// A program and its threads.
 #[derive(Debug)]
 pub struct Program {
@@ -78,6 +100,8 @@ pub struct Program {
     queue: VecDeque<ThreadId>,
     /// A thread came to `pause` in this frame.
     pausing: bool,
+    /// Instructions that this frame has left for all threads.
+    left: u32,
     statements: Statements,
 }
 
@@ -96,7 +120,7 @@ impl Program {
     /// A program at its beginning. `seed` is that of `random()`.
     pub fn new(code: Arc<Code>, seed: u64) -> Program {
         let main = Thread::new(MAIN, None, &code, 0, Vec::new());
-        let globals = vec![None; code.scope.globals.len()];
+        let globals = vec![None; code.scope.globals.count()];
         let shared = Shared { code, globals, random: Random::new(seed) };
         let main = Scheduled { thread: main, wait: Wait::Nothing, done: false, budget: SLICE, lent: 0 };
         Program {
@@ -106,6 +130,7 @@ impl Program {
             holder: None,
             queue: VecDeque::new(),
             pausing: false,
+            left: FRAME_SLICE,
             statements: Statements::default(),
         }
     }
@@ -118,7 +143,7 @@ impl Program {
     /// Lets a statement join: `function` of `code`, which has all that the program's code has. It begins
     /// when those before it are done and the host takes statements.
     pub fn join(&mut self, code: Arc<Code>, statement: u64, function: usize) {
-        let globals = code.scope.globals.len().max(self.shared.globals.len());
+        let globals = code.scope.globals.count().max(self.shared.globals.len());
         self.shared.globals.resize(globals, None);
         self.shared.code = code;
         self.statements.waiting.push_back((statement, function));
@@ -145,7 +170,7 @@ impl Program {
     /// Empties the variables that `base`, the program without statements, does not have. True if the program
     /// is `base` again: nothing that statements have declared runs or waits.
     pub fn forget_statements(&mut self, base: &Arc<Code>) -> bool {
-        let own = base.scope.globals.len();
+        let own = base.scope.globals.count();
         self.shared.globals.iter_mut().skip(own).for_each(|variable| *variable = None);
         let used = |scheduled: &Scheduled| scheduled.thread.within(base.functions.len());
         let over = self.statements.waiting.is_empty() && !self.threads.iter().any(used);
@@ -173,6 +198,7 @@ impl Program {
 
     /// Gives every thread its slice of one frame.
     pub fn frame(&mut self, host: &mut dyn Host) -> Progress {
+        self.left = FRAME_SLICE;
         for scheduled in &mut self.threads {
             scheduled.done = false;
             scheduled.budget = SLICE;
@@ -288,7 +314,7 @@ impl Program {
         if scheduled.lent > 0 {
             self.holder = Some((id, std::mem::take(&mut scheduled.lent)));
         }
-        match scheduled.thread.run(&mut self.shared, host, &mut scheduled.budget)? {
+        match scheduled.run(&mut self.shared, host, &mut self.left)? {
             Event::Sleep(frames) => {
                 scheduled.wait = Wait::Frames(frames);
                 scheduled.done = true;
@@ -341,7 +367,8 @@ impl Program {
     }
 
     fn endless(&self, index: usize) -> RuntimeException {
-        self.exception(index, format!("endless loop: {SLICE} instructions without letting time pass"))
+        let most = if self.left == 0 { FRAME_SLICE } else { SLICE };
+        self.exception(index, format!("endless loop: {most} instructions without letting time pass"))
     }
 
     fn exception(&self, index: usize, message: String) -> RuntimeException {

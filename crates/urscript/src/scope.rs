@@ -5,9 +5,32 @@
 //! functions and threads may be used before the text reaches them.
 
 use crate::ast::{Function, Qualifier, Statement, StatementKind};
+use std::collections::HashMap;
 use std::sync::Arc;
 
-/// Names a body assigns, by the word in front.
+/// Names, each with its place in the order in which they came.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Names(HashMap<Arc<str>, usize>);
+
+impl Names {
+    /// Adds `name` behind the others unless it is there.
+    pub fn add(&mut self, name: &Arc<str>) {
+        let place = self.0.len();
+        self.0.entry(name.clone()).or_insert(place);
+    }
+
+    /// The place of a name, counted from 0.
+    pub fn place(&self, name: &str) -> Option<usize> {
+        self.0.get(name).copied()
+    }
+
+    /// How many there are.
+    pub fn count(&self) -> usize {
+        self.0.len()
+    }
+}
+
+/// Names a body assigns, by the word in front, as often as it does.
 #[derive(Debug, Default)]
 pub struct Assigned {
     /// Without a word.
@@ -54,29 +77,20 @@ pub fn assigned(body: &[Statement]) -> Assigned {
                 Qualifier::Local => &mut found.local,
                 Qualifier::Global => &mut found.global,
             };
-            add(names, name);
+            names.push(name.clone());
         }
     });
     found
 }
 
-/// All global names of a program.
-pub fn globals(program: &Function) -> Vec<Arc<str>> {
-    let mut names: Vec<Arc<str>> = Vec::new();
-    program.parameters.iter().for_each(|parameter| add(&mut names, &parameter.name));
-    assigned(&program.body).plain.iter().for_each(|name| add(&mut names, name));
-    collect_global(program, &mut names);
-    names
+/// Adds all global names of a program.
+pub fn add_globals(program: &Function, names: &mut Names) {
+    program.parameters.iter().for_each(|parameter| names.add(&parameter.name));
+    assigned(&program.body).plain.iter().for_each(|name| names.add(name));
+    collect_global(program, names);
 }
 
-fn collect_global(function: &Function, names: &mut Vec<Arc<str>>) {
-    assigned(&function.body).global.iter().for_each(|name| add(names, name));
+fn collect_global(function: &Function, names: &mut Names) {
+    assigned(&function.body).global.iter().for_each(|name| names.add(name));
     functions(&function.body).into_iter().for_each(|nested| collect_global(nested, names));
-}
-
-/// Adds `name` unless it is there.
-pub fn add(names: &mut Vec<Arc<str>>, name: &Arc<str>) {
-    if !names.contains(name) {
-        names.push(name.clone());
-    }
 }

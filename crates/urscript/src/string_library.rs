@@ -47,14 +47,37 @@ fn text_of(values: &[&Value]) -> Result<String, String> {
             }
             value => write!(text, "{value}"),
         };
-        written.map_err(|_| format!("a string of more than {MAX_LENGTH} bytes is too long"))?;
+        written.map_err(|_| too_long())?;
     }
     Ok(text.0)
 }
 
-/// A value as its method `to_string` writes it: cut short, with dots before its closing bracket, when it is
-/// too long.
+fn too_long() -> String {
+    format!("a string of more than {MAX_LENGTH} bytes is too long")
+}
+
+/// A value as text that is handed on whole: strings as they are, anything else as its program writes it.
+///
+/// # Errors
+/// It is too long and no string that is there already.
+pub fn whole(value: &Value) -> Result<String, String> {
+    if let Value::Text(text) = value {
+        return Ok(text.to_string());
+    }
+    let mut text = Bounded::default();
+    write!(text, "{value}").map_err(|_| too_long())?;
+    Ok(text.0)
+}
+
+/// A value as text that is shown, and as its method `to_string` writes it: cut short, with dots before its
+/// closing bracket, when it is too long.
 pub fn cut_short(value: &Value) -> String {
+    // One that a program was uploaded with may be longer than those that it makes.
+    if let Value::Text(text) = value {
+        let most = text.len().min(MAX_LENGTH);
+        let end = (0..=most).rev().find(|end| text.is_char_boundary(*end)).unwrap_or_default();
+        return text.get(..end).unwrap_or_default().to_owned();
+    }
     let mut text = Bounded::default();
     if write!(text, "{value}").is_err() {
         text.0.push_str(if matches!(value, Value::Struct(_)) { "...}" } else { "...]" });
@@ -139,7 +162,6 @@ fn assertion(call: &Call<'_>) -> Result<Value, String> {
     if call.required(0)?.truth()? {
         return Ok(Value::Nothing);
     }
-    Err(call
-        .argument(1)
-        .map_or_else(|| "assertion failed".to_owned(), |message| format!("assertion failed: {message}")))
+    let message = call.argument(1).map(|message| format!(": {}", cut_short(message)));
+    Err(format!("assertion failed{}", message.unwrap_or_default()))
 }

@@ -5,13 +5,13 @@
 //! calls, size of values (`bounds`).
 
 use crate::ast::Unary;
+use crate::bounds::bounded;
 use crate::code::{Code, Instruction};
 use crate::fault::{Position, RuntimeException};
 use crate::host::{Builtin, Call, Host, REMOTE_CALL, Reply};
 use crate::library::{self, Random};
 use crate::methods;
 use crate::operators;
-use crate::thread::bounds::bounded;
 use crate::value::{ThreadId, Value};
 use std::sync::Arc;
 
@@ -445,5 +445,4 @@ fn sleep_frames(seconds: f64) -> Result<u64, String> {
     Ok(((seconds / FRAME_SECONDS - 1e-6).ceil() as u64).max(1))
 }
 
-mod bounds;
 mod variables;

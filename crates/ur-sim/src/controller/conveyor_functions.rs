@@ -174,12 +174,16 @@ fn stop(core: &mut Core, call: &Call<'_>) -> Result<Reply, String> {
 }
 
 impl Core {
-    /// One frame of the encoders, and of the belt that carries the arm; `held`: the arm stays where it is.
-    pub(super) fn run_conveyor(&mut self, held: bool) {
+    /// One frame of the encoders: belts run whatever the arm does.
+    pub(super) fn count_encoders(&mut self) {
         let inputs = self.registers.digital_inputs;
         for (encoder, rate) in self.settings.encoders.iter_mut().zip(self.config.encoders) {
             encoder.advance(inputs, rate * FRAME_SECONDS);
         }
+    }
+
+    /// One frame of the belt that carries the arm; `held`: the arm stays where it is.
+    pub(super) fn run_conveyor(&mut self, held: bool) {
         if !self.mover.tracks() {
             self.conveyor = None;
         }

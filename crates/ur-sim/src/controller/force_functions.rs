@@ -23,6 +23,9 @@ const RISE_SECONDS: f64 = 0.05;
 const NEAR_SINGULAR: f64 = 0.06;
 const TOO_NEAR_SINGULAR: f64 = 0.03;
 
+/// Most iterations for the singular values: some 10 will do, and numbers that are none never come to an end.
+const MAX_ITERATIONS: usize = 1000;
+
 /// Carries out a built-in of this file; `None` if it is none of them.
 pub fn call(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
     let done = match call.name {
@@ -152,13 +155,16 @@ fn history(core: &Core, call: &Call<'_>) -> Result<Value, String> {
     positions.map(|q| Value::numbers(q.0)).ok_or_else(missing)
 }
 
-/// 0 free to move, 1 near a singularity, 2 too near.
 fn freedrive_status(core: &Core) -> i32 {
     let arm = &core.mover.arm;
-    let smallest = dynamics::tool_jacobian(&arm.dh, &arm.flange_from_tcp, &core.mover.q())
-        .singular_values()
-        .iter()
-        .fold(f64::INFINITY, |smallest, value| smallest.min(*value));
+    nearness(dynamics::tool_jacobian(&arm.dh, &arm.flange_from_tcp, &core.mover.q()))
+}
+
+/// 0 free to move, 1 near a singularity, 2 too near, or a Jacobian that has no singular values.
+fn nearness(jacobian: Matrix6<f64>) -> i32 {
+    let values = jacobian.try_svd(false, false, 5.0 * f64::EPSILON, MAX_ITERATIONS);
+    let smallest = values.map(|values| values.singular_values.min());
+    let smallest = smallest.filter(|smallest| smallest.is_finite()).unwrap_or_default();
     i32::from(smallest < NEAR_SINGULAR) + i32::from(smallest < TOO_NEAR_SINGULAR)
 }
 
@@ -217,5 +223,20 @@ impl Core {
         let next = now + (wanted - now) * part;
         let rests = self.compliance.is_none() && next.norm() < 1e-6;
         self.mover.set_drift(if rests { Vector6::zeros() } else { next });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_jacobian_that_is_none_is_too_near_a_singularity() {
+        let mut jacobian = Matrix6::identity();
+        assert_eq!(nearness(jacobian), 0);
+        jacobian[(0, 0)] = 0.05;
+        assert_eq!(nearness(jacobian), 1);
+        jacobian[(2, 3)] = f64::NAN;
+        assert_eq!(nearness(jacobian), 2);
     }
 }

@@ -19,6 +19,7 @@ use ur_arm::kinematics::{forward, inverse_near};
 use ur_arm::pose::{isometry_from_ur_pose, ur_pose_from_isometry};
 use ur_wire::primary_message::MessageBody;
 use urscript::host::{Call, Host, Reply};
+use urscript::string_library::cut_short;
 use urscript::value::{ThreadId, Value};
 
 /// Frames the arm must have been at rest to count as steady (0.5 s).
@@ -62,12 +63,19 @@ impl Host for Core {
     }
 
     fn abandoned(&mut self, thread: ThreadId, name: &'static str) {
+        // Its threads have the numbers of the main program's.
+        if self.secondary {
+            return;
+        }
         if motion_functions::MOVES.contains(&name) {
             self.orphaned = true;
         }
         if name.ends_with("_from_primary_client") {
-            self.requests.clear();
+            self.requests.clear_of(thread);
         }
+        // Connections that a call opens for itself, which now closes none.
+        self.sockets.close(&rpc_functions::socket(thread));
+        self.sockets.close(&modbus_command::socket(thread));
         if self.owner.is_some_and(|(owner, _)| owner == thread) {
             self.owner = None;
         }
@@ -179,19 +187,40 @@ fn finite<const N: usize>(call: &Call<'_>, index: usize) -> Result<[f64; N], Str
     }
 }
 
+/// Numbers that are not larger than anything there is.
+fn within(call: &Call<'_>, numbers: &[f64], most: f64) -> Result<(), String> {
+    match numbers.iter().all(|number| number.abs() <= most) {
+        true => Ok(()),
+        false => Err(format!("{}: {numbers:?} is not possible", call.name)),
+    }
+}
+
+/// A centre of gravity.
+fn centre(call: &Call<'_>, index: usize) -> Result<[f64; 3], String> {
+    let centre = finite(call, index)?;
+    within(call, &centre, MAX_OFFSET)?;
+    Ok(centre)
+}
+
 fn tool(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
     let done = match call.name {
         "set_tcp" => call.required(0).and_then(Value::pose).and_then(|_| {
-            core.set_tcp(finite(call, 0)?);
+            let pose = finite(call, 0)?;
+            within(call, &pose, MAX_OFFSET)?;
+            core.set_tcp(pose);
             Ok(())
         }),
         "set_payload" | "set_target_payload" | "set_payload_mass" => set_payload(core, call),
-        "set_payload_cog" => finite(call, 0).map(|centre| {
+        "set_payload_cog" => centre(call, 0).map(|centre| {
             core.payload.centre = centre;
             core.payload.inertia = [0.0; 6];
             zero_sensor(core);
         }),
-        "set_gravity" => finite(call, 0).map(|gravity| core.payload.gravity = gravity),
+        "set_gravity" => finite(call, 0).and_then(|gravity| {
+            within(call, &gravity, MAX_GRAVITY)?;
+            core.payload.gravity = gravity;
+            Ok(())
+        }),
         "estimate_payload" => return Some(payload_estimate::estimate(core, call)),
         "get_tcp_offset" => return Some(Ok(Value::Pose(core.tcp_offset))),
         "get_target_payload" => return Some(Ok(Value::Float(core.payload.mass))),
@@ -210,6 +239,11 @@ fn zero_sensor(core: &mut Core) {
     core.sensing.zero(raw);
 }
 
+/// Largest number of a tool centre point (m, rad), of a centre of gravity (m) and of gravity (m/s2): far
+/// beyond what there is, and small enough to be computed with.
+const MAX_OFFSET: f64 = 100.0;
+const MAX_GRAVITY: f64 = 1000.0;
+
 /// Largest element of a payload's inertia, kg m2 (script manual, set_target_payload).
 const MAX_INERTIA: f64 = 133.0;
 
@@ -218,7 +252,7 @@ fn set_payload(core: &mut Core, call: &Call<'_>) -> Result<(), String> {
     if !(0.0..=50.0).contains(&mass) {
         return Err(format!("{}: a payload of {mass} kg is not possible", call.name));
     }
-    let centre = call.argument(1).map(|_| finite(call, 1)).transpose()?;
+    let centre = call.argument(1).map(|_| centre(call, 1)).transpose()?;
     // An inertia that is not given is none.
     let inertia: [f64; 6] = call.argument(2).map_or(Ok([0.0; 6]), |_| finite(call, 2))?;
     let [moments, products] = [&inertia[..3], &inertia[3..]];
@@ -285,8 +319,8 @@ fn time(core: &Core, call: &Call<'_>) -> Result<Value, String> {
 fn messages(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
     let done = match call.name {
         "textmsg" => call.required(0).map(|first| {
-            let second = call.argument(1).map(Value::to_string).unwrap_or_default();
-            core.message(MessageBody::Text(format!("{first}{second}")));
+            let second = call.argument(1).map(cut_short).unwrap_or_default();
+            core.message(MessageBody::Text(cut_short(first) + &second));
         }),
         "protective_stop" => {
             let reason = "protective stop by the program".to_owned();
@@ -325,7 +359,7 @@ fn set_watchdog(core: &mut Core, call: &Call<'_>) -> Result<(), String> {
 
 /// Shows a text on the pendant; a blocking one waits until it has been closed.
 fn popup(core: &mut Core, call: &Call<'_>) -> Result<Reply, String> {
-    let text = call.required(0)?.to_string();
+    let text = cut_short(call.required(0)?);
     let blocking = call.argument(4).map_or(Ok(false), Value::truth)?;
     if call.frames == 0 {
         core.popup = Some(text);

@@ -101,7 +101,9 @@ impl Joined {
     }
 
     fn statement(&mut self, text: &str, program: &mut Program) -> String {
-        if self.since_clear >= MAX_STATEMENTS && text != CLEAR {
+        // One that makes room may wait behind the others, until it is carried out.
+        let full = self.since_clear >= MAX_STATEMENTS && text != CLEAR;
+        if full || program.statements().1 > MAX_STATEMENTS {
             return discard("too many statements, clear_interpreter() makes room", text);
         }
         let (code, function) = match compile_statement(&self.scope, text) {
@@ -111,9 +113,6 @@ impl Joined {
         self.since_clear += 1;
         self.last += 1;
         let next = if text == CLEAR { Arc::new(forget(&code, &self.base)) } else { Arc::new(code) };
-        if text == CLEAR {
-            self.since_clear = 0;
-        }
         self.scope = next.clone();
         program.join(next, self.last, function);
         format!("ack: {}: {text}", self.last)

@@ -132,6 +132,7 @@ impl Controller {
             self.stop_with((code, 0), &reason);
         }
         self.core.sockets.flush();
+        self.core.count_encoders();
         if !self.core.modes.brakes_open() {
             self.core.mover.freeze();
         } else if let Err(fault) = self.move_arm() {
@@ -233,9 +234,11 @@ impl Controller {
         self.core.safety_message();
     }
 
-    /// Opens or closes the safeguard circuit; programs pause and go on by themselves.
-    pub fn safeguard_stop(&mut self, open: bool) {
-        if self.core.modes.safeguard_stop(open) {
+    /// Opens or closes the safeguard circuit; programs pause and go on by themselves. True if this changed
+    /// anything.
+    pub fn safeguard_stop(&mut self, open: bool) -> bool {
+        let changes = self.core.modes.safeguard_stop(open);
+        if changes {
             if open {
                 self.programs.pause_for_safeguard();
             } else {
@@ -243,6 +246,7 @@ impl Controller {
             }
             self.core.safety_message();
         }
+        changes
     }
 
     /// Shows a safety mode by its number and pauses the program unless the mode allows motion; absent: back

@@ -9,7 +9,7 @@ use crate::controller::core::Core;
 use crate::controller::sockets::SocketState;
 use crate::motion::FRAMES_PER_SECOND;
 use urscript::host::{Call, Reply};
-use urscript::value::Value;
+use urscript::value::{ThreadId, Value};
 
 /// Port of Modbus devices.
 const PORT: u16 = 502;
@@ -25,13 +25,18 @@ pub fn call(core: &mut Core, call: &mut Call<'_>) -> Option<Result<Reply, String
     (call.name == "modbus_send_custom_command").then(|| send(core, call))
 }
 
+/// Name of the connection that a thread's command has.
+pub(super) fn socket(thread: ThreadId) -> String {
+    format!("the Modbus command of thread {}", thread.0)
+}
+
 fn send(core: &mut Core, call: &mut Call<'_>) -> Result<Reply, String> {
     if core.secondary {
         return Err(format!("{}: a secondary program must not wait", call.name));
     }
     let (host, port) = address(call)?;
     let frame = frame(call)?;
-    let socket = format!("the Modbus command of thread {}", call.thread.0);
+    let socket = socket(call.thread);
     if call.frames == 0 {
         core.sockets.open(&socket, &host, port);
         return Ok(Reply::Wait);

@@ -46,6 +46,8 @@ enum Safety {
     Normal,
     Protective {
         since: u64,
+        /// It came in reduced mode, which comes back after it.
+        reduced: bool,
     },
     Safeguard,
     Emergency,
@@ -53,6 +55,9 @@ enum Safety {
     /// Another mode by its number; in reduced mode the arm may move, in all others not.
     Other(i32),
 }
+
+/// Number of the reduced mode.
+const REDUCED: i32 = 2;
 
 /// `joint_mode` of a joint that runs, is idle, or is off.
 const JOINT_RUNNING: i32 = 253;
@@ -134,9 +139,10 @@ impl Modes {
 
     /// True if this changed anything.
     pub fn protective_stop(&mut self, step: u64) -> bool {
-        let possible = self.safety == Safety::Normal || self.safety == Safety::Safeguard;
+        let reduced = self.safety == Safety::Other(REDUCED);
+        let possible = reduced || self.safety == Safety::Normal || self.safety == Safety::Safeguard;
         if possible {
-            self.safety = Safety::Protective { since: step };
+            self.safety = Safety::Protective { since: step, reduced };
         }
         possible
     }
@@ -147,7 +153,7 @@ impl Modes {
     /// The dashboard's sentence.
     pub fn unlock(&mut self, step: u64) -> Result<(), String> {
         match self.safety {
-            Safety::Protective { since } if step.saturating_sub(since) < UNLOCK_FRAMES => {
+            Safety::Protective { since, .. } if step.saturating_sub(since) < UNLOCK_FRAMES => {
                 return Err(UNLOCK_TOO_EARLY.to_owned());
             }
             _ => self.unlock_at_once(),
@@ -157,8 +163,8 @@ impl Modes {
 
     /// Ends a protective stop however old it is; other stops stay.
     pub fn unlock_at_once(&mut self) {
-        if let Safety::Protective { .. } = self.safety {
-            self.safety = Safety::Normal;
+        if let Safety::Protective { reduced, .. } = self.safety {
+            self.safety = if reduced { Safety::Other(REDUCED) } else { Safety::Normal };
         }
     }
 
@@ -188,6 +194,9 @@ impl Modes {
         match (number, self.safety) {
             (Some(number), _) => self.safety = Safety::Other(number),
             (None, Safety::Other(_)) => self.safety = Safety::Normal,
+            (None, Safety::Protective { since, .. }) => {
+                self.safety = Safety::Protective { since, reduced: false };
+            }
             (None, _) => {}
         }
     }
@@ -295,7 +304,7 @@ impl Modes {
             Safety::Safeguard => 1 << 4 | 1 << 10,
             Safety::Emergency => 1 << 6 | 1 << 7 | 1 << 10,
             Safety::Fault => 1 << 9 | 1 << 10,
-            Safety::Other(2) => 1 << 1,
+            Safety::Other(REDUCED) => 1 << 1,
             Safety::Other(4) => 1 << 3 | 1 << 10,
             Safety::Other(6) => 1 << 5 | 1 << 7 | 1 << 10,
             Safety::Other(8) => 1 << 8 | 1 << 10,
@@ -354,6 +363,20 @@ mod tests {
         assert_eq!(modes.safety_status_bits(), 0x404);
         assert!(modes.unlock(100 + UNLOCK_FRAMES).is_ok());
         assert!(modes.motion_allowed() && modes.brakes_open());
+    }
+
+    #[test]
+    fn a_protective_stop_in_reduced_mode_leaves_it_reduced() {
+        let mut modes = Modes::new(true, Control::Remote);
+        modes.show_safety(Some(REDUCED));
+        assert!(modes.protective_stop(100) && modes.protective_stopped());
+        modes.unlock_at_once();
+        assert_eq!(modes.safety_mode(), SafetyMode::Reduced);
+        assert!(modes.protective_stop(200));
+        modes.show_safety(None);
+        assert!(modes.protective_stopped(), "another mode is no way out of it");
+        modes.unlock_at_once();
+        assert_eq!(modes.safety_mode(), SafetyMode::Normal);
     }
 
     #[test]

@@ -337,13 +337,13 @@ impl Programs {
         let mut program = Program::new(Arc::new(code), self.seed.wrapping_add(self.starts));
         core.secondary = true;
         let progress = program.frame(core);
+        let at = program.position();
+        program.stop(core);
         core.secondary = false;
         match progress {
             Progress::Finished => {}
             Progress::Failed(exception) => core.message(exception_message(&exception)),
             Progress::Running | Progress::Paused => {
-                let at = program.position();
-                program.stop(core);
                 let message = "a secondary program must not take time".to_owned();
                 core.message(exception_message(&RuntimeException { at, message }));
             }

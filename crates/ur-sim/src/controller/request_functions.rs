@@ -9,7 +9,7 @@ use crate::controller::core::Core;
 use crate::controller::value_requests::Wanted;
 use ur_wire::primary_message::MessageBody;
 use urscript::host::{Call, Reply};
-use urscript::value::Value;
+use urscript::string_library::cut_short;
 
 /// Carries out a built-in of this file; `None` if it is none of them.
 pub fn call(core: &mut Core, call: &mut Call<'_>) -> Option<Result<Reply, String>> {
@@ -17,14 +17,14 @@ pub fn call(core: &mut Core, call: &mut Call<'_>) -> Option<Result<Reply, String
     if core.secondary {
         return Some(Err(format!("{}: a secondary program must not wait", call.name)));
     }
-    Some(call.required(0).map(Value::to_string).map(|text| request(core, call, wanted, text)))
+    Some(call.required(0).map(cut_short).map(|text| request(core, call, wanted, text)))
 }
 
 fn request(core: &mut Core, call: &mut Call<'_>, wanted: Wanted, text: String) -> Reply {
     if *call.note != 0 {
         return core.requests.take(*call.note).map_or(Reply::Wait, Reply::Value);
     }
-    if let Some(number) = core.requests.show(wanted, text.clone()) {
+    if let Some(number) = core.requests.show(call.thread, wanted, text.clone()) {
         *call.note = number;
         let request = u32::try_from(number).unwrap_or(u32::MAX);
         core.message(MessageBody::RequestValue { request, value_type: wanted.code(), text });
@@ -103,6 +103,16 @@ mod tests {
              other()\n sleep(0.004)\n kill h\n request_integer_from_primary_client(\"a\")\nend\n",
         );
         (0..10).for_each(|_| controller.frame());
+        assert_eq!(controller.core.requests.shown().unwrap().text, "a");
+    }
+
+    #[test]
+    fn a_thread_that_goes_before_its_request_is_shown_leaves_the_other_one() {
+        let controller = running(
+            "def ask():\n thread first():\n  request_integer_from_primary_client(\"a\")\n end\n thread \
+             second():\n  request_integer_from_primary_client(\"b\")\n end\n run first()\n h = run \
+             second()\n sleep(0.004)\n kill h\n sleep(9)\nend\n",
+        );
         assert_eq!(controller.core.requests.shown().unwrap().text, "a");
     }
 }

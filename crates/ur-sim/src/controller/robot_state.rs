@@ -26,7 +26,7 @@ const CALIBRATED: u32 = 0;
 const SAFETY_DATA: u8 = 10;
 const SAFETY_DATA_BYTES: usize = 38;
 
-/// The tool's serial line as it is by default; nothing is connected to it.
+/// The tool's serial line as it is until a script enables it.
 const TOOL_LINE: ToolCommunicationData = ToolCommunicationData {
     enabled: false,
     baud_rate: 115_200,
@@ -41,7 +41,7 @@ pub fn periodic(controller: &Controller) -> Vec<SubPackage> {
     vec![
         SubPackage::RobotMode(robot_mode(controller)),
         SubPackage::Joints(joints(controller)),
-        SubPackage::Tool(ToolData { voltage_48v: 48.0, temperature: 35.0, mode: 253, ..ToolData::default() }),
+        SubPackage::Tool(tool(controller)),
         SubPackage::Masterboard(masterboard(controller)),
         SubPackage::Cartesian(CartesianData {
             tcp_pose: controller.core.tcp_pose(),
@@ -54,9 +54,30 @@ pub fn periodic(controller: &Controller) -> Vec<SubPackage> {
             ..AdditionalData::default()
         }),
         SubPackage::Other { kind: SAFETY_DATA, payload: safety_data(controller) },
-        SubPackage::ToolCommunication(TOOL_LINE),
+        SubPackage::ToolCommunication(tool_line(controller)),
         SubPackage::ToolMode(ToolModeData::default()),
     ]
+}
+
+fn tool(controller: &Controller) -> ToolData {
+    ToolData {
+        voltage_48v: 48.0,
+        output_voltage: u8::try_from(controller.core.registers.tool_voltage).unwrap_or_default(),
+        temperature: 35.0,
+        mode: 253,
+        ..ToolData::default()
+    }
+}
+
+fn tool_line(controller: &Controller) -> ToolCommunicationData {
+    controller.core.settings.tool_line.map_or(TOOL_LINE, |line| ToolCommunicationData {
+        enabled: true,
+        baud_rate: line.baud,
+        parity: line.parity,
+        stop_bits: line.stop_bits,
+        rx_idle_chars: line.idle_chars[0] as f32,
+        tx_idle_chars: line.idle_chars[1] as f32,
+    })
 }
 
 /// Sub-package 10: the checksum of the safety configuration, then bytes that the guide does not name.
@@ -182,6 +203,7 @@ fn masterboard(controller: &Controller) -> MasterboardData {
 mod tests {
     use super::*;
     use crate::controller::ControllerConfig;
+    use crate::controller::builtins::compile_program;
 
     #[test]
     fn the_model_decides_the_robot_type() {
@@ -194,6 +216,28 @@ mod tests {
             });
             assert_eq!(found, Some(number), "{model}");
         }
+    }
+
+    #[test]
+    fn what_scripts_set_of_the_tool_is_shown() {
+        let mut controller = Controller::new(ControllerConfig { running: true, ..ControllerConfig::ur5e(1) });
+        let script =
+            "def t():\n set_tool_voltage(24)\n set_tool_communication(True, 9600, 2, 2, 1.5, 4)\nend\n";
+        controller.programs.upload(compile_program(script));
+        (0..10).for_each(|_| controller.frame());
+        let line = ToolCommunicationData {
+            enabled: true,
+            baud_rate: 9600,
+            parity: 2,
+            stop_bits: 2,
+            rx_idle_chars: 1.5,
+            tx_idle_chars: 4.0,
+        };
+        let parts = periodic(&controller);
+        assert!(parts.contains(&SubPackage::ToolCommunication(line)));
+        assert!(
+            parts.iter().any(|part| matches!(part, SubPackage::Tool(ToolData { output_voltage: 24, .. })))
+        );
     }
 
     #[test]

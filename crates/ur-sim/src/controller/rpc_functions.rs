@@ -10,7 +10,7 @@ use crate::controller::sockets::{MAX_BUFFER, SocketState};
 use crate::controller::xml_rpc;
 use crate::motion::FRAMES_PER_SECOND;
 use urscript::host::{Call, REMOTE_CALL, Reply};
-use urscript::value::Value;
+use urscript::value::{ThreadId, Value};
 
 /// Frames that a server has for its answer.
 const PATIENCE_FRAMES: u64 = 10 * FRAMES_PER_SECOND;
@@ -22,9 +22,15 @@ const CLOSE: &str = "closeXMLRPCClientConnection";
 pub fn call(core: &mut Core, call: &mut Call<'_>) -> Option<Result<Reply, String>> {
     match call.name {
         "rpc_factory" => Some(factory(call)),
-        _ if call.name == REMOTE_CALL.name => Some(remote(core, call)),
-        _ => None,
+        _ if call.name != REMOTE_CALL.name => None,
+        _ if core.secondary => Some(Err(format!("{}: a secondary program must not wait", call.name))),
+        _ => Some(remote(core, call)),
     }
+}
+
+/// Name of the connection that a thread's call has.
+pub(super) fn socket(thread: ThreadId) -> String {
+    format!("the calls of thread {}", thread.0)
 }
 
 fn factory(call: &Call<'_>) -> Result<Reply, String> {
@@ -55,7 +61,7 @@ fn remote(core: &mut Core, call: &mut Call<'_>) -> Result<Reply, String> {
     let Value::Remote(url) = call.required(0)? else { return Err("this is no handle of calls".to_owned()) };
     let (url, method) = (url.clone(), call.required(1)?.string()?.clone());
     let (host, port, path) = address(&url)?;
-    let socket = format!("the calls of thread {}", call.thread.0);
+    let socket = socket(call.thread);
     if method.as_ref() == CLOSE {
         return Ok(Reply::Value(Value::Bool(true)));
     }

@@ -112,7 +112,8 @@ fn tool_communication(core: &mut Core, call: &Call<'_>) -> Result<Value, String>
     let known = [9600, 19200, 38400, 57600, 115_200, 1_000_000, 2_000_000, 5_000_000].contains(&baud);
     let idle = (1.0..=40.0).contains(&receive) && (0.0..=40.0).contains(&transmit);
     if known && (0..=2).contains(&parity) && (1..=2).contains(&stop_bits) && idle {
-        core.settings.tool_line = enabled.then_some(ToolLine { baud, parity, stop_bits });
+        core.settings.tool_line =
+            enabled.then_some(ToolLine { baud, parity, stop_bits, idle_chars: [receive, transmit] });
         return Ok(Value::Nothing);
     }
     Err("set_tool_communication: a parameter is out of range".to_owned())

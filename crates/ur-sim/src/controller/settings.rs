@@ -12,7 +12,7 @@ pub const FLAGS: usize = 33;
 pub const MAX_SIGNALS: usize = 256;
 
 /// How the serial line of the tool is set.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ToolLine {
     /// Bits a second.
     pub baud: i32,
@@ -20,6 +20,8 @@ pub struct ToolLine {
     pub parity: i32,
     /// 1 or 2.
     pub stop_bits: i32,
+    /// Idle characters before it receives and before it sends.
+    pub idle_chars: [f64; 2],
 }
 
 /// All of it.

@@ -10,6 +10,7 @@ use crate::controller::core::Core;
 use crate::controller::sockets::SocketState;
 use crate::motion::FRAME_SECONDS;
 use urscript::host::{Call, Reply};
+use urscript::string_library::whole;
 use urscript::value::Value;
 
 /// Values a script may request in one call.
@@ -36,8 +37,12 @@ pub fn call(core: &mut Core, call: &mut Call<'_>) -> Option<Result<Reply, String
             Ok(byte) => send(core, call, &[byte]),
             Err(_) => Err(format!("socket_send_byte: {n} is not between 0 and 255")),
         }),
-        "socket_send_string" => call.required(0).and_then(|v| send(core, call, v.to_string().as_bytes())),
-        "socket_send_line" => call.required(0).and_then(|v| send(core, call, format!("{v}\n").as_bytes())),
+        "socket_send_string" => {
+            call.required(0).and_then(whole).and_then(|text| send(core, call, text.as_bytes()))
+        }
+        "socket_send_line" => {
+            call.required(0).and_then(whole).and_then(|text| send(core, call, (text + "\n").as_bytes()))
+        }
         "socket_get_var" => get_variable(core, call),
         "socket_set_var" => set_variable(core, call),
         _ => return None,

@@ -169,6 +169,17 @@ fn impossible_moves_stop_protectively_and_pause_the_program() {
 }
 
 #[test]
+fn an_impossible_move_in_reduced_mode_stops_protectively_too() {
+    let mut controller = running();
+    controller.show_safety(Some(2));
+    upload(&mut controller, "def m():\n movel(p[5,0,0,0,0,0])\n sleep(1)\nend\n");
+    controller.frame();
+    assert_eq!(controller.core.modes.safety_mode(), SafetyMode::ProtectiveStop);
+    controller.unlock_at_once();
+    assert_eq!(controller.core.modes.safety_mode(), SafetyMode::Reduced);
+}
+
+#[test]
 fn numbers_that_are_not_finite_are_exceptions() {
     let mut controller = running();
     controller.core.registers.write(&[Input::Double(24)], &[Value::Double(f64::NAN)]);
@@ -176,6 +187,22 @@ fn numbers_that_are_not_finite_are_exceptions() {
     controller.frame();
     let said = messages(&mut controller);
     assert!(said[1].contains("not finite") && stopped(&controller), "{said:?}");
+}
+
+#[test]
+fn a_tool_and_a_gravity_that_cannot_be_are_exceptions() {
+    for call in [
+        "set_tcp(p[1e200,0,0,0,0,0])",
+        "set_gravity([0,0,1e9])",
+        "set_payload(1,[0,101,0])",
+        "set_payload_cog([0,0,1e9])",
+    ] {
+        let mut controller = running();
+        upload(&mut controller, &format!("def m():\n {call}\nend\n"));
+        controller.frame();
+        let said = messages(&mut controller);
+        assert!(said[1].contains("is not possible") && stopped(&controller), "{said:?}");
+    }
 }
 
 #[test]

@@ -4,7 +4,7 @@
 //! time, others wait their turn. Pure.
 
 use serde_json::Value as Json;
-use urscript::value::Value;
+use urscript::value::{ThreadId, Value};
 
 /// Which value a program requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,6 +23,7 @@ pub enum Wanted {
 #[derive(Clone, Debug)]
 pub struct ValueRequest {
     number: u64,
+    thread: ThreadId,
     /// What is wanted.
     pub wanted: Wanted,
     /// The program's words.
@@ -100,13 +101,13 @@ impl ValueRequests {
         Ok(())
     }
 
-    /// Shows a request, if none is shown; its number, never 0.
-    pub fn show(&mut self, wanted: Wanted, text: String) -> Option<u64> {
+    /// Shows the request of a thread, if none is shown; its number, never 0.
+    pub fn show(&mut self, thread: ThreadId, wanted: Wanted, text: String) -> Option<u64> {
         if self.shown.is_some() {
             return None;
         }
         self.count += 1;
-        self.shown = Some(ValueRequest { number: self.count, wanted, text, answer: None });
+        self.shown = Some(ValueRequest { number: self.count, thread, wanted, text, answer: None });
         Some(self.count)
     }
 
@@ -116,7 +117,12 @@ impl ValueRequests {
         self.shown.take_if(answered).and_then(|request| request.answer)
     }
 
-    /// The program has gone, or the thread that waited.
+    /// A thread has gone; what another one has requested stays.
+    pub fn clear_of(&mut self, thread: ThreadId) {
+        self.shown.take_if(|request| request.thread == thread);
+    }
+
+    /// The program has gone.
     pub fn clear(&mut self) {
         self.shown = None;
     }

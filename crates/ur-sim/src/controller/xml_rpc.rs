@@ -5,6 +5,7 @@
 //! struct of x, y, z, rx, ry and rz, both ways. Foreign bytes: nesting is bounded, and what is not
 //! XML-RPC is an error with a reason. Pure.
 
+use crate::controller::sockets::MAX_BUFFER;
 use std::fmt::Write;
 use std::sync::Arc;
 use urscript::value::Value;
@@ -18,7 +19,7 @@ const POSE: [&str; 6] = ["x", "y", "z", "rx", "ry", "rz"];
 /// The document of a call.
 ///
 /// # Errors
-/// An argument is a handle or nothing.
+/// An argument is a handle or nothing, or they are longer than a connection takes.
 pub fn call(method: &str, arguments: &[Value]) -> Result<String, String> {
     let mut text = String::from("<?xml version=\"1.0\"?><methodCall><methodName>");
     escape(&mut text, method);
@@ -33,6 +34,9 @@ pub fn call(method: &str, arguments: &[Value]) -> Result<String, String> {
 }
 
 fn encode(text: &mut String, value: &Value) -> Result<(), String> {
+    if text.len() > MAX_BUFFER {
+        return Err("the arguments are too long".to_owned());
+    }
     text.push_str("<value>");
     // Writing to a string cannot fail.
     match value {
@@ -242,6 +246,8 @@ mod tests {
             assert_eq!(answered(inner), Ok(expected), "{text}");
         }
         assert!(call("f", &[Value::Nothing]).is_err());
+        let long = Value::list(vec![Value::text("x".repeat(MAX_BUFFER)); 1000]);
+        assert!(call("f", &[long]).unwrap_err().contains("too long"));
     }
 
     #[test]

@@ -347,7 +347,6 @@ fn same_kind(a: &Fault, b: &Fault) -> bool {
 
 fn begin(controller: &mut Controller, fault: &RobotFault) -> Result<(), FaultError> {
     let possible = |done: bool, error: FaultError| if done { Ok(()) } else { Err(error) };
-    let safe = controller.core.modes.motion_allowed();
     match fault {
         RobotFault::ProtectiveStop => {
             controller.protective_stop("protective stop by the fault desk");
@@ -355,8 +354,7 @@ fn begin(controller: &mut Controller, fault: &RobotFault) -> Result<(), FaultErr
         }
         RobotFault::EmergencyStop => controller.emergency_stop(true),
         RobotFault::Safeguard => {
-            controller.safeguard_stop(true);
-            return possible(safe, FaultError::NotNow);
+            return possible(controller.safeguard_stop(true), FaultError::NotNow);
         }
         RobotFault::SafetyMode(number) => controller.show_safety(Some(*number)),
         RobotFault::SafetyFault => controller.safety_fault(),
@@ -390,7 +388,9 @@ fn begin(controller: &mut Controller, fault: &RobotFault) -> Result<(), FaultErr
 fn undo(controller: &mut Controller, fault: &RobotFault, slider: f64) {
     match fault {
         RobotFault::EmergencyStop => controller.emergency_stop(false),
-        RobotFault::Safeguard => controller.safeguard_stop(false),
+        RobotFault::Safeguard => {
+            controller.safeguard_stop(false);
+        }
         RobotFault::SafetyMode(_) => controller.show_safety(None),
         RobotFault::Local => controller.core.modes.set_remote(true),
         RobotFault::Freedrive => controller.core.pendant.freedrive = false,

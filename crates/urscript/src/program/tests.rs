@@ -105,6 +105,8 @@ fn lists_poses_and_strings() {
     check("m = [[1, 2], [3, 4]] m[1, 0] = 9 say(m[1, 0]) say(m)", "9|[[1, 2], [9, 4]]");
     check("say([1, 2] + [3, 4]) say(2 * [1, 2]) say([2, 4] / 2) say([1] - [3])", "[4, 6]|[2, 4]|[1, 2]|[-2]");
     check("say([[1, 2], [3, 4]] * [1, 1])", "[3, 7]");
+    check_fails("x = [[]] * []", 1, 10, "sizes of the matrices");
+    check_fails("a = make_list(1000, [1]) b = [make_list(1000, 1)] c = a * b", 1, 57, "too large");
     check("a = [1] b = a b[0] = 2 say(a)", "[1]");
     check("p = p[1, 2, 3, 0, 0, 0] p[0] = 7 say(p[0]) say(p)", "7|p[7, 2, 3, 0, 0, 0]");
     check("p = [5, 6] say(p[1])", "6");
@@ -255,6 +257,25 @@ fn a_loop_of_calls_that_wait_is_not_endless_and_leaves_the_others_their_frames()
         let endless = matches!(&progress, Progress::Failed(e) if e.message.starts_with("endless loop"));
         assert!(endless, "{text}: {progress:?}");
     }
+}
+
+#[test]
+fn threads_that_are_started_and_joined_use_up_one_frame() {
+    let text = "thread t():\n i = 0\n while i < 1000: i = i + 1 end\nend\nn = 0\nwhile n < 1000:\n h = run t()\n \
+                join h\n n = n + 1\nend";
+    let (_, progress) = run(text, 1);
+    let endless = matches!(&progress, Progress::Failed(e) if e.message.starts_with("endless loop: 1000000"));
+    assert!(endless, "{progress:?}");
+}
+
+#[test]
+fn a_program_may_have_very_many_variables() {
+    let global: String = (0..30_000).map(|n| format!("a{n} = {n}\n")).collect();
+    let local: String = (0..30_000).map(|n| format!("local b{n} = a{n}\n")).collect();
+    check(
+        &format!("{global}say(a29999) sync()\ndef f():\n{local}say(b29999)\nend\nsync() f()"),
+        "29999|29999",
+    );
 }
 
 #[test]

@@ -5,10 +5,10 @@
 //! which of them exists when the instruction runs.
 
 use crate::ast::Qualifier;
+use crate::bounds::bounded_ref;
 use crate::code::{PathStep, Variable};
 use crate::methods;
 use crate::operators::{self, Step};
-use crate::thread::bounds::bounded_ref;
 use crate::thread::{Shared, Thread};
 use crate::value::Value;
 

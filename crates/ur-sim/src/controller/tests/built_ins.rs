@@ -330,6 +330,51 @@ fn pulses_of_a_conveyor_that_runs_are_decoded_and_tracked() {
 }
 
 #[test]
+fn a_conveyor_is_counted_while_the_arm_has_no_power() {
+    let mut config = running().core.config;
+    config.encoders = [0.0, 1000.0];
+    let mut controller = Controller::new(config);
+    let script = "def p():\n encoder_enable_pulse_decode(1, 1, 8, 9)\nend\n";
+    upload(&mut controller, script);
+    controller.frame();
+    step_until(&mut controller, stopped);
+    let before = controller.core.settings.encoders[1].raw();
+    controller.power_off();
+    (0..500).for_each(|_| controller.frame());
+    let counted = controller.core.settings.encoders[1].raw() - before;
+    assert!((999..=1001).contains(&counted), "{counted}");
+}
+
+#[test]
+fn values_that_become_text_are_bounded() {
+    let long =
+        "s = \"x\"\n i = 0\n while i < 16:\n  s = str_cat(s, s)\n  i = i + 1\n end\n l = make_list(1000, s)";
+    assert_eq!(said(&format!("def t():\n {long}\n textmsg(l, l)\nend\n")), ["text:[...][...]"]);
+    for call in ["socket_send_string", "socket_send_line"] {
+        let refused = said(&format!("def t():\n {long}\n {call}(l)\nend\n"));
+        assert!(refused[0].ends_with("too long"), "{refused:?}");
+    }
+}
+
+#[test]
+fn a_secondary_program_that_would_wait_leaves_the_main_one_its_move_and_its_connections() {
+    let mut controller = running();
+    upload(&mut controller, "def m():\n movej([1,-1.57,1.57,-1.57,-1.57,0])\nend\n");
+    (0..10).for_each(|_| controller.frame());
+    let owner = controller.core.owner;
+    assert!(owner.is_some());
+    upload(&mut controller, "sec s():\n popup(\"wait\", blocking=True)\nend\n");
+    controller.frame();
+    assert_eq!(controller.core.owner, owner);
+    messages(&mut controller);
+    let call = "sec s():\n r = rpc_factory(\"xmlrpc\", \"http://127.0.0.1:1/RPC2\")\n r.f()\nend\n";
+    upload(&mut controller, call);
+    controller.frame();
+    let said = messages(&mut controller);
+    assert!(said[0].contains("a secondary program must not wait"), "{said:?}");
+}
+
+#[test]
 fn what_is_no_conveyor_or_encoder_is_refused() {
     for (call, refusal) in [
         ("track_conveyor_linear(p[0,0,0,1,0,0], 1000)", "a conveyor has a direction"),

@@ -166,6 +166,8 @@ fn statements_without_end_are_bounded_and_many_short_ones_are_no_endless_loop() 
     }
     assert!(say(&mut controller, "own = own + 1").starts_with("discard: too many statements"));
     assert!(say(&mut controller, "clear_interpreter()").starts_with("ack"), "that makes room");
+    assert!(say(&mut controller, "own = own + 1").starts_with("discard: too many"), "once it is carried out");
+    assert!(say(&mut controller, "clear_interpreter()").starts_with("discard: too many"), "one is enough");
     (0..10).for_each(|_| controller.frame());
     assert_eq!(say(&mut controller, "stateunexecuted"), "state: 0: stateunexecuted");
     let mut controller = interpreting("");

@@ -59,8 +59,12 @@ impl Player {
                 "protective stop" => controller.protective_stop("test"),
                 "emergency stop pressed" => controller.emergency_stop(true),
                 "emergency stop released" => controller.emergency_stop(false),
-                "safeguard opens" => controller.safeguard_stop(true),
-                "safeguard closes" => controller.safeguard_stop(false),
+                "safeguard opens" => {
+                    controller.safeguard_stop(true);
+                }
+                "safeguard closes" => {
+                    controller.safeguard_stop(false);
+                }
                 "safety fault" => controller.safety_fault(),
                 "reduced mode" => controller.show_safety(Some(2)),
                 "normal mode" => controller.show_safety(None),

@@ -48,3 +48,19 @@ fn a_device_that_is_silent_or_not_there_holds_the_program_up_for_two_seconds_at_
         assert!(said.iter().any(|text| text.contains(complaint)), "{call}: {said:?}");
     }
 }
+
+#[test]
+fn threads_that_are_killed_while_they_wait_for_a_device_leave_no_connection() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    let mut controller = controller();
+    let script = format!(
+        "def m():\n thread t():\n  modbus_send_custom_command(\"127.0.0.1:{port}\", 1, 6, [0])\n end\n n = 0\n \
+         while n < 40:\n  h = run t()\n  sleep(0.004)\n  kill h\n  n = n + 1\n end\n \
+         textmsg(socket_open(\"127.0.0.1\", {port}))\nend\n"
+    );
+    start(&mut controller, &script);
+    step_until(&mut controller, stopped);
+    let said = controller.core.take_messages();
+    assert!(said.contains(&MessageBody::Text("True".to_owned())), "{said:?}");
+}

@@ -6,19 +6,22 @@
 use crate::value::Value;
 
 /// Most elements of a list, those of its lists included, and deepest nesting of lists.
-const MAX_ELEMENTS: usize = 200_000;
+pub(crate) const MAX_ELEMENTS: usize = 200_000;
 const MAX_LIST_NESTING: usize = 8;
 
+/// What is said to a larger one.
+pub(crate) const TOO_LARGE: &str = "the list is too large";
+
 /// The value, if it is within bounds.
-pub(super) fn bounded(value: Value) -> Result<Value, String> {
+pub(crate) fn bounded(value: Value) -> Result<Value, String> {
     bounded_ref(&value)?;
     Ok(value)
 }
 
 /// Nothing if the value is within bounds.
-pub(super) fn bounded_ref(value: &Value) -> Result<(), String> {
+pub(crate) fn bounded_ref(value: &Value) -> Result<(), String> {
     let mut left = MAX_ELEMENTS;
-    if fits(value, MAX_LIST_NESTING, &mut left) { Ok(()) } else { Err("the list is too large".to_owned()) }
+    if fits(value, MAX_LIST_NESTING, &mut left) { Ok(()) } else { Err(TOO_LARGE.to_owned()) }
 }
 
 fn fits(value: &Value, levels: usize, left: &mut usize) -> bool {
