@@ -12,6 +12,8 @@ use crate::config::load::load_cell;
 use crate::config::setup::{Measured, cell_model, cell_objects, gripper_address, machine_parameters, scene};
 use crate::daemon::cameras;
 use crate::daemon::film::Film;
+use crate::daemon::gripper_memory::GripperMemory;
+use crate::daemon::intake::Orders;
 use crate::daemon::keeper::{Identities, StateKeeper};
 use crate::daemon::last_picture::LastPicture;
 use crate::daemon::reception::Reception;
@@ -26,7 +28,7 @@ use crate::io::camera::monitored::MonitoredCamera;
 use crate::jobs::state::StateFolder;
 use crate::jobs::status::{Remarks, Status};
 use crate::page::feed::{Feed, KnownCell, Watcher};
-use crate::page::orders::{Desk, WithPage, desk};
+use crate::page::orders::{Desk, desk};
 use crate::page::shared::Setup;
 use crate::page::texts::Texts;
 use crate::page::{ServeError, app};
@@ -253,7 +255,7 @@ async fn daemon(
     shell.commission(model, config.arm_at_start);
     let keeper =
         keeper.with(pictures.clone(), &config_file, identities(&arm, &measured), shell.last_answers());
-    shell.keep_in(Box::new(keeper), Box::new(reception.close()?));
+    shell.keep_in(Box::new(keeper), reception.close()?);
     tracing::info!("celld runs; job files go into the state folder's jobs/incoming, Ctrl-C ends");
     starting.rests();
     let recorder = config.recording.as_ref().map(|to| recorder::start(to, Some(lens))).transpose()?;
@@ -281,7 +283,7 @@ fn known_cell(
 /// same.
 struct Opened {
     keeper: StateKeeper,
-    orders: WithPage<StateOrders>,
+    orders: Vec<Box<dyn Orders>>,
     feed: Feed,
     /// Where a page is served.
     film: Option<Film>,
@@ -294,9 +296,9 @@ fn opened(
     name: String,
     stop: &Arc<AtomicBool>,
 ) -> Result<Opened, String> {
-    let orders = StateOrders::open(&state, name.clone(), gripper_address(&config.devices))
-        .map_err(|error| chain(&error))?;
-    let ((desk, join), feed, remarks) = (desk(), Feed::default(), Remarks::default());
+    let memory = GripperMemory::new(&state, gripper_address(&config.devices));
+    let in_folder = StateOrders::open(&state, name.clone(), memory.clone()).map_err(|error| chain(&error))?;
+    let ((desk, at_page), feed, remarks) = (desk(memory), Feed::default(), Remarks::default());
     let told = fleet(config, &state, &feed, &desk, &remarks, stop)?;
     let (mut office, mut film) = (None, None);
     if let Some(page) = &config.page {
@@ -326,7 +328,8 @@ fn opened(
         told(status);
     };
     let keeper = keeper.published(Box::new(publish), remarks);
-    Ok(Opened { keeper, orders: join(orders.with_office(office)), feed, film })
+    let orders: Vec<Box<dyn Orders>> = vec![Box::new(in_folder.with_office(office)), Box::new(at_page)];
+    Ok(Opened { keeper, orders, feed, film })
 }
 
 /// Is given each status for the cell's fleet; must not block.

@@ -9,10 +9,11 @@
 
 mod start;
 
+use crate::daemon::intake::Orders;
 use crate::daemon::last_answers::LastAnswers;
 use crate::daemon::messages::{Displayed, Message};
 use crate::daemon::sockets::{Addresses, Sockets};
-use crate::daemon::store::{Keeper, Orders, Store};
+use crate::daemon::store::{Keeper, Store};
 use crate::daemon::watchdog::{Beat, Beats};
 use crate::daemon::workers::{PerceptionSetup, SeeRequest, busy, spawn_eyes, spawn_plan};
 use cell_calibration::visit::{Samples, Stop};
@@ -263,9 +264,9 @@ impl Shell {
     }
 
     /// From now on jobs and orders come from here, and what is done is written here.
-    pub fn keep_in(&mut self, keeper: Box<dyn Keeper>, orders: Box<dyn Orders>) {
+    pub fn keep_in(&mut self, keeper: Box<dyn Keeper>, sources: Vec<Box<dyn Orders>>) {
         let (clock, events) = (self.clock.clone(), self.messages_in.clone());
-        self.store = Some(Store::open(keeper, orders, clock, events, &self.beats));
+        self.store = Some(Store::open(keeper, sources, clock, events, &self.beats));
     }
 
     /// Carries out a calibration round. The arm is at rest afterwards, and the program has ended, or was

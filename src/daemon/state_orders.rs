@@ -4,13 +4,13 @@
 //! with the user who ordered. What a person has confirmed is remembered before it is answered. Who wants to
 //! be signed in at the page is answered at once: that is no order to the machine.
 
+use crate::daemon::gripper_memory::GripperMemory;
+use crate::daemon::intake::{Given, Orders};
 use crate::daemon::keeper::KeeperError;
-use crate::daemon::store::Orders;
 use crate::jobs::command::{Command, Inbox, SignIn, Taken};
 use crate::jobs::state::StateFolder;
-use cell_edge::clock::{boot_now_s, unix_now_s};
-use cell_machine::orders::{Order, Reply};
-use rearrange::document::chain::chain;
+use cell_edge::clock::boot_now_s;
+use cell_machine::orders::Reply;
 use std::collections::VecDeque;
 
 /// Most orders whose answers are still to come; older ones are forgotten.
@@ -28,24 +28,25 @@ pub trait Office: Send {
 /// Operators' commands in the state folder.
 pub struct StateOrders {
     inbox: Inbox,
-    state: StateFolder,
-    /// The gripper's address, as it is remembered.
-    gripper: String,
-    last: u64,
-    unanswered: VecDeque<(u64, Taken)>,
+    memory: GripperMemory,
+    last: u32,
+    unanswered: VecDeque<(u32, Taken)>,
     office: Option<Box<dyn Office>>,
 }
 
 impl StateOrders {
-    /// Opens the command folder and clears what was left for an earlier daemon; `gripper` is the address at
-    /// which a person may confirm the gripper.
+    /// Opens the command folder and clears what was left for an earlier daemon; `memory`: where a confirmed
+    /// gripper is remembered.
     ///
     /// # Errors
     /// The folder cannot be used.
-    pub fn open(state: &StateFolder, daemon: String, gripper: String) -> Result<StateOrders, KeeperError> {
+    pub fn open(
+        state: &StateFolder,
+        daemon: String,
+        memory: GripperMemory,
+    ) -> Result<StateOrders, KeeperError> {
         let inbox = Inbox::open(&state.commands(), daemon)?;
-        let unanswered = VecDeque::new();
-        Ok(StateOrders { inbox, state: state.clone(), gripper, last: 0, unanswered, office: None })
+        Ok(StateOrders { inbox, memory, last: 0, unanswered: VecDeque::new(), office: None })
     }
 
     /// With a page at which people can be signed in.
@@ -85,7 +86,11 @@ impl StateOrders {
 }
 
 impl Orders for StateOrders {
-    fn take(&mut self) -> Vec<(u64, Order)> {
+    fn task(&self) -> &'static str {
+        "the intake of orders"
+    }
+
+    fn take(&mut self) -> Vec<Given> {
         let taken = self.inbox.take(boot_now_s()).unwrap_or_else(|error| {
             tracing::error!(%error, "command folder");
             Vec::new()
@@ -97,7 +102,7 @@ impl Orders for StateOrders {
             }
             let Some(order) = taken.command.order() else { continue };
             self.last += 1;
-            orders.push((self.last, order));
+            orders.push(Given { number: self.last, order, boot_s: taken.boot_s });
             self.unanswered.push_back((self.last, taken));
             if self.unanswered.len() > UNANSWERED_MAX {
                 self.unanswered.pop_front();
@@ -106,7 +111,7 @@ impl Orders for StateOrders {
         orders
     }
 
-    fn reply(&mut self, number: u64, reply: &Reply) {
+    fn reply(&mut self, number: u32, reply: &Reply) {
         let Some(index) = self.unanswered.iter().position(|(open, _)| *open == number) else { return };
         let Some((_, taken)) = self.unanswered.remove(index) else { return };
         let (command, uid) = (&taken.command, taken.uid);
@@ -116,22 +121,9 @@ impl Orders for StateOrders {
             tracing::warn!(?command, uid, "order refused: {}", reply.message);
         }
         let order = taken.command.order();
-        let reply = order.map_or_else(|| reply.clone(), |order| self.remember(&order, reply));
+        let reply = order.map_or_else(|| reply.clone(), |order| self.memory.remember(&order, reply));
         if let Err(error) = self.inbox.reply(&taken, &reply) {
             tracing::warn!(%error, "a command could not be answered");
-        }
-    }
-
-    fn remember(&self, order: &Order, reply: &Reply) -> Reply {
-        if !reply.accepted || *order != Order::ConfirmGripper {
-            return reply.clone();
-        }
-        match self.state.confirm_gripper(&self.gripper, unix_now_s()) {
-            Ok(()) => reply.clone(),
-            Err(error) => {
-                let fault = chain(&error);
-                Reply::accept(format!("{}; not remembered for the next start: {fault}", reply.message))
-            }
         }
     }
 }

@@ -1,11 +1,12 @@
 //! The state folder on threads of its own, so that a slow disk keeps no heartbeat and no abort waiting.
 //!
 //! In: what the machine wants written, answered or claimed. Out: [`Event`]s: commits in the order of the
-//! requests, orders, jobs. Two threads: one writes the journal and looks after job files, the other reads
-//! orders and writes answers. A commit takes milliseconds at best and half a second on a busy disk; the
-//! robot stops when no message reaches it for a fraction of that, and a person who aborts does not wait for
-//! a disk.
+//! requests, orders, jobs. One thread writes the journal and looks after job files; each source of orders
+//! has one that takes them in and hands the answers back (`intake`). A commit takes milliseconds at best and
+//! half a second on a busy disk; the robot stops when no message reaches it for a fraction of that, and a
+//! person who aborts does not wait for a disk.
 
+use crate::daemon::intake::{Answers, Channels, Orders, Stops, UNASKED, take_orders};
 use crate::daemon::messages::Message;
 use crate::daemon::watchdog::{Beat, Beats};
 use cell_edge::clock::Clock;
@@ -49,35 +50,8 @@ pub trait Keeper: Send + 'static {
     fn status(&mut self, status: &Status);
 }
 
-/// Where operators' orders come from.
-pub trait Orders: Send + 'static {
-    /// Orders since the last call, numbered without repetition.
-    fn take(&mut self) -> Vec<(u64, Order)>;
-
-    /// Answers one.
-    fn reply(&mut self, number: u64, reply: &Reply);
-
-    /// Remembers what a person has confirmed by an order, wherever it came from; the answer then says where
-    /// it cannot be.
-    fn remember(&self, _order: &Order, reply: &Reply) -> Reply {
-        reply.clone()
-    }
-}
-
-/// No source of orders: the demo.
-pub struct NoOrders;
-
-impl Orders for NoOrders {
-    fn take(&mut self) -> Vec<(u64, Order)> {
-        Vec::new()
-    }
-
-    fn reply(&mut self, _number: u64, _reply: &Reply) {}
-}
-
-/// How often orders are read and job files looked after, in the cell's time.
+/// How often job files are looked after, in the cell's time.
 const EVERY: Duration = Duration::from_millis(200);
-const ORDERS_EVERY: Duration = Duration::from_millis(50);
 
 /// A status that does not change is published again after so long, by the wall's clock: its age shows that
 /// the daemon lives, and job files come and go meanwhile.
@@ -85,9 +59,6 @@ const STATUS_EVERY: std::time::Duration = std::time::Duration::from_secs(1);
 
 /// A thread that has not come round for so long is taken for stuck in the disk, by the wall's clock.
 const SILENT_AFTER: std::time::Duration = std::time::Duration::from_secs(15);
-
-/// Number of a cancellation that came as a file: its answer is the job's end.
-const UNASKED: u64 = 0;
 
 enum Request {
     Commit(u64, Record),
@@ -99,46 +70,38 @@ enum Request {
 /// The shell's end of the state folder.
 pub struct Store {
     requests: Option<Sender<Request>>,
-    replies: Sender<(u64, Reply)>,
-    threads: [(Arc<Beat>, JoinHandle<()>); 2],
+    replies: Answers,
+    threads: Vec<(Arc<Beat>, JoinHandle<()>)>,
     ending: Arc<AtomicBool>,
     lost: bool,
 }
 
 impl Store {
-    /// Starts both threads; what happens comes through `events`.
+    /// Starts the threads; what happens comes through `events`.
     pub fn open(
         keeper: Box<dyn Keeper>,
-        orders: Box<dyn Orders>,
+        sources: Vec<Box<dyn Orders>>,
         clock: Clock,
         events: mpsc::Sender<Message>,
         beats: &Beats,
     ) -> Store {
         let (requests, asked) = channel();
-        let (replies, answers) = channel();
-        let [keeping, ordering] =
-            ["the journal", "the intake of orders"].map(|task| Arc::new(beats.task(task, SILENT_AFTER)));
-        let cancels = requests.clone();
-        let keep = {
-            let (beat, clock, events, answers) =
-                (keeping.clone(), clock.clone(), events.clone(), replies.clone());
-            std::thread::spawn(move || Keeping { keeper, clock, events, answers, beat }.run(&asked))
-        };
-        let ending = Arc::new(AtomicBool::new(false));
-        let order = {
-            let (beat, ending) = (ordering.clone(), ending.clone());
-            std::thread::spawn(move || {
-                let channels = OrderChannels { events: &events, cancels: &cancels, answers: &answers };
-                take_orders(orders, &clock, channels, &beat, &ending);
-            })
-        };
-        Store {
-            requests: Some(requests),
-            replies,
-            threads: [(keeping, keep), (ordering, order)],
-            ending,
-            lost: false,
+        let (replies, answers) = Answers::of(sources.len());
+        let (ending, stops) = (Arc::new(AtomicBool::new(false)), Arc::new(Stops::default()));
+        let mut threads = Vec::new();
+        for (index, (orders, answers)) in sources.into_iter().zip(answers).enumerate() {
+            let beat = Arc::new(beats.task(orders.task(), SILENT_AFTER));
+            let (events, cancels, stops) = (events.clone(), requests.clone(), stops.clone());
+            let cancel = move |number, id| cancels.send(Request::Cancel(number, id)).is_ok();
+            let channels = Channels { events, cancel: Box::new(cancel), answers, stops };
+            let (taking, clock, ending) = (beat.clone(), clock.clone(), ending.clone());
+            let take = move || take_orders(orders, index, &clock, &channels, &taking, &ending);
+            threads.push((beat, std::thread::spawn(take)));
         }
+        let beat = Arc::new(beats.task("the journal", SILENT_AFTER));
+        let keeping = Keeping { keeper, clock, events, answers: replies.clone(), beat: beat.clone() };
+        threads.push((beat, std::thread::spawn(move || keeping.run(&asked))));
+        Store { requests: Some(requests), replies, threads, ending, lost: false }
     }
 
     /// Has a record written; answered by [`Event::Committed`].
@@ -158,10 +121,7 @@ impl Store {
 
     /// Answers an order.
     pub fn reply(&self, number: u64, reply: Reply) {
-        if number != UNASKED {
-            // A thread that has ended is reported by `fault`.
-            let _ = self.replies.send((number, reply));
-        }
+        self.replies.send(number, reply);
     }
 
     /// Once: a thread that is stuck or has panicked.
@@ -178,7 +138,7 @@ impl Store {
     /// Waits until everything is written and answered, but not longer than `limit`; false if it is not.
     pub async fn close(mut self, limit: std::time::Duration) -> bool {
         self.requests = None;
-        // The thread of the orders writes the answers that are left, and lets go of the other one.
+        // The threads of the orders write the answers that are left, and let go of the other one.
         self.ending.store(true, Ordering::Relaxed);
         let since = Instant::now();
         while !self.threads.iter().all(|(_, thread)| thread.is_finished()) {
@@ -203,7 +163,7 @@ struct Keeping {
     keeper: Box<dyn Keeper>,
     clock: Clock,
     events: mpsc::Sender<Message>,
-    answers: Sender<(u64, Reply)>,
+    answers: Answers,
     beat: Arc<Beat>,
 }
 
@@ -256,8 +216,7 @@ impl Keeping {
     /// A job that waits is ended here; of the active one the machine decides.
     fn cancel(&mut self, number: u64, id: String) {
         match self.keeper.cancel_waiting(&id) {
-            // The other thread has ended if there is no receiver, and its commands with it.
-            Some(reply) => drop(self.answers.send((number, reply))),
+            Some(reply) => self.answers.send(number, reply),
             None => self.send_event(Event::Order(number, Order::Cancel(id))),
         }
     }
@@ -268,52 +227,10 @@ impl Keeping {
     }
 }
 
-/// Where the thread of the orders sends them, and where their answers come from.
-struct OrderChannels<'a> {
-    /// To the machine.
-    events: &'a mpsc::Sender<Message>,
-    /// To the thread of the journal.
-    cancels: &'a Sender<Request>,
-    /// Answers, each with the number of its order.
-    answers: &'a Receiver<(u64, Reply)>,
-}
-
-/// The thread of the orders: takes them, and writes the answers that have come.
-fn take_orders(
-    mut orders: Box<dyn Orders>,
-    clock: &Clock,
-    OrderChannels { events, cancels, answers }: OrderChannels,
-    beat: &Beat,
-    ending: &AtomicBool,
-) {
-    while !ending.load(Ordering::Relaxed) {
-        beat.now();
-        for (number, order) in orders.take() {
-            let sent = match order {
-                Order::Cancel(id) => cancels.send(Request::Cancel(number, id)).is_ok(),
-                other => events.blocking_send(Message::Event(Event::Order(number, other))).is_ok(),
-            };
-            if !sent {
-                return beat.rests();
-            }
-        }
-        let until = Instant::now() + clock.wall(ORDERS_EVERY);
-        loop {
-            let left = until.saturating_duration_since(Instant::now());
-            match answers.recv_timeout(left) {
-                Ok((number, reply)) => orders.reply(number, &reply),
-                Err(RecvTimeoutError::Timeout) => break,
-                Err(RecvTimeoutError::Disconnected) => return beat.rests(),
-            }
-        }
-    }
-    answers.try_iter().for_each(|(number, reply)| orders.reply(number, &reply));
-    beat.rests();
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::daemon::intake::Given;
     use std::sync::Mutex;
 
     /// Writes into a list; its first record waits for a sign, and `taken` shows that it does.
@@ -354,20 +271,29 @@ mod tests {
     struct Three {
         given: bool,
         taken: Arc<AtomicBool>,
-        answers: Arc<Mutex<Vec<(u64, Reply)>>>,
+        answers: Arc<Mutex<Vec<(u32, Reply)>>>,
     }
 
     impl Orders for Three {
-        fn take(&mut self) -> Vec<(u64, Order)> {
+        fn task(&self) -> &'static str {
+            "orders of a test"
+        }
+
+        fn take(&mut self) -> Vec<Given> {
             if !self.taken.load(Ordering::Relaxed) || std::mem::replace(&mut self.given, true) {
                 return Vec::new();
             }
-            vec![(1, Order::Abort), (2, Order::Cancel("waits".into())), (3, Order::Cancel("active".into()))]
+            let orders = [Order::Cancel("waits".into()), Order::Cancel("active".into()), Order::Abort];
+            (1..).zip(orders).map(|(number, order)| Given { number, order, boot_s: 100.0 }).collect()
         }
 
-        fn reply(&mut self, number: u64, reply: &Reply) {
+        fn reply(&mut self, number: u32, reply: &Reply) {
             self.answers.lock().unwrap().push((number, reply.clone()));
         }
+    }
+
+    fn open(keeper: impl Keeper, sources: Vec<Box<dyn Orders>>, events: mpsc::Sender<Message>) -> Store {
+        Store::open(Box::new(keeper), sources, Clock::new(1.0), events, &Beats::default())
     }
 
     fn runtime() -> tokio::runtime::Runtime {
@@ -386,13 +312,12 @@ mod tests {
         let taken = Arc::new(AtomicBool::new(false));
         let keeper = Slow { lines: Arc::clone(&lines), sign: Some(waiting), taken: Arc::clone(&taken) };
         let orders = Three { given: false, taken, answers: Arc::clone(&answers) };
-        let store =
-            Store::open(Box::new(keeper), Box::new(orders), Clock::new(1.0), sender, &Beats::default());
+        let store = open(keeper, vec![Box::new(orders)], sender);
         store.commit(7, Record::Done { step: 4 });
         for job in ["one", "two", "three"] {
             store.status(status(job));
         }
-        let Some(Message::Event(Event::Order(1, Order::Abort))) = events.blocking_recv() else {
+        let Some(Message::Event(Event::Order(3, Order::Abort))) = events.blocking_recv() else {
             panic!("the abort comes")
         };
         assert!(lines.lock().unwrap().is_empty(), "nothing is written yet");
@@ -401,14 +326,14 @@ mod tests {
             panic!("then the record")
         };
         assert_eq!(why, "full");
-        let Some(Message::Event(Event::Order(3, Order::Cancel(id)))) = events.blocking_recv() else {
+        let Some(Message::Event(Event::Order(2, Order::Cancel(id)))) = events.blocking_recv() else {
             panic!("not waiting")
         };
         assert_eq!(id, "active");
-        store.reply(3, Reply::refuse("no"));
+        store.reply(2, Reply::refuse("no"));
         assert!(runtime().block_on(store.close(std::time::Duration::from_secs(30))));
-        let numbers: Vec<u64> = answers.lock().unwrap().iter().map(|(number, _)| *number).collect();
-        assert_eq!(numbers, [2, 3]);
+        let numbers: Vec<u32> = answers.lock().unwrap().iter().map(|(number, _)| *number).collect();
+        assert_eq!(numbers, [1, 2]);
         // Of the three, the last is written, after the record that the arm waits for.
         assert_eq!(*lines.lock().unwrap(), ["Done { step: 4 }", "three"]);
     }
@@ -418,8 +343,7 @@ mod tests {
         let (_sign, waiting) = channel();
         let (sender, _events) = mpsc::channel(64);
         let keeper = Slow { lines: Arc::default(), sign: Some(waiting), taken: Arc::default() };
-        let store =
-            Store::open(Box::new(keeper), Box::new(NoOrders), Clock::new(1.0), sender, &Beats::default());
+        let store = open(keeper, Vec::new(), sender);
         store.commit(1, Record::Done { step: 7 });
         assert!(!runtime().block_on(store.close(std::time::Duration::ZERO)));
     }
@@ -443,8 +367,7 @@ mod tests {
             fn status(&mut self, _status: &Status) {}
         }
         let (sender, _events) = mpsc::channel(64);
-        let mut store =
-            Store::open(Box::new(Broken), Box::new(NoOrders), Clock::new(1.0), sender, &Beats::default());
+        let mut store = open(Broken, Vec::new(), sender);
         store.commit(1, Record::Done { step: 1 });
         let since = Instant::now();
         let fault = loop {

@@ -177,12 +177,14 @@ impl Command {
 }
 
 /// A command that the daemon took, to be answered.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Taken {
     /// What is requested.
     pub command: Command,
     /// Who gave it: the system's number of the owner of its file.
     pub uid: Option<u32>,
+    /// When it was given, s since the machine started, as its sender says.
+    pub boot_s: f64,
     reply: PathBuf,
 }
 
@@ -232,7 +234,8 @@ impl Inbox {
                         why
                     }
                     None => {
-                        taken.push(Taken { command: envelope.command, uid, reply });
+                        let Envelope { command, boot_s, .. } = envelope;
+                        taken.push(Taken { command, uid, boot_s, reply });
                         continue;
                     }
                 },

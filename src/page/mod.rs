@@ -8,8 +8,8 @@
 //! set by hand; `orders`: on their way to the machine; `openapi`: the API in a document; `server`:
 //! connections; `assets`: the browser's part, plain scripts without a build step; `texts`: other languages.
 //!
-//! It decides nothing about the cell: orders go the way of command files, jobs the way of job files, and
-//! what it shows is what the daemon writes for everyone.
+//! It decides nothing about the cell: orders go where those of command files go, jobs the way of job files,
+//! and what it shows is what the daemon writes for everyone.
 
 pub mod access;
 pub mod app;

@@ -1,21 +1,21 @@
-//! Orders from the page on their way to the machine, beside those of the state folder.
+//! Orders from the page on their way to the machine.
 //!
-//! In: orders with who gives them. Out: the same to the thread that takes orders in, numbered; the machine's
-//! answers back to who waits for them. An order that was not taken in time does not count any more, as with
-//! command files (`jobs/command`), unless it only stops.
+//! In: orders with who gives them. Out: the same to a thread that takes them in beside those of the state
+//! folder and waits for no disk; the machine's answers back to who waits for them. An order that was not
+//! taken in time does not count any more, as with command files (`jobs/command`), unless it only stops. What
+//! a person has confirmed is remembered before it is answered.
 
-use crate::daemon::store::Orders;
+use crate::daemon::gripper_memory::GripperMemory;
+use crate::daemon::intake::{self, Orders};
 use crate::jobs::command::COUNTS_FOR_S;
+use cell_edge::clock::boot_now_s;
 use cell_machine::orders::{Order, Reply};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use tokio::sync::oneshot;
 
 /// Orders that wait to be taken in; they are taken twenty times a second.
 const QUEUE: usize = 32;
-
-/// Numbers of the page's orders begin here: those of the state folder count from 1.
-const FIRST: u64 = 1 << 32;
 
 /// How long the machine may take to answer: the arm may have to stop first.
 const ANSWER_WITHIN: Duration = Duration::from_secs(15);
@@ -24,7 +24,7 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(15);
 struct Given {
     order: Order,
     by: String,
-    at: Instant,
+    boot_s: f64,
     answer: oneshot::Sender<Reply>,
 }
 
@@ -36,7 +36,7 @@ impl Desk {
     /// Gives an order and waits for the answer.
     pub async fn order(&self, order: Order, by: String) -> Reply {
         let (answer, answered) = oneshot::channel();
-        match self.0.try_send(Given { order, by, at: Instant::now(), answer }) {
+        match self.0.try_send(Given { order, by, boot_s: boot_now_s(), answer }) {
             Ok(()) => {}
             Err(TrySendError::Full(_)) => return Reply::refuse("too many orders wait to be taken in"),
             Err(TrySendError::Disconnected(_)) => return Reply::refuse("celld is ending"),
@@ -52,124 +52,116 @@ impl Desk {
     }
 }
 
-/// Orders of the state folder and of the page.
-pub struct WithPage<O> {
-    state: O,
+/// The end at which the page's orders arrive.
+pub struct PageOrders {
     page: Receiver<Given>,
-    last: u64,
-    unanswered: Vec<(u64, Given)>,
+    memory: GripperMemory,
+    last: u32,
+    unanswered: Vec<(u32, Given)>,
 }
 
-/// The page's desk, and the end at which its orders arrive together with those of the state folder.
-pub fn desk<O: Orders>() -> (Desk, impl FnOnce(O) -> WithPage<O>) {
+/// The page's desk, and the end at which its orders arrive; `memory`: where a confirmed gripper is
+/// remembered.
+pub fn desk(memory: GripperMemory) -> (Desk, PageOrders) {
     let (sender, page) = sync_channel(QUEUE);
-    let join = move |state| WithPage { state, page, last: FIRST, unanswered: Vec::new() };
-    (Desk(sender), join)
+    (Desk(sender), PageOrders { page, memory, last: 0, unanswered: Vec::new() })
 }
 
-impl<O: Orders> Orders for WithPage<O> {
-    fn take(&mut self) -> Vec<(u64, Order)> {
-        // The disk first, which may take its time: the age of the page's orders counts after it.
-        let mut orders = self.state.take();
+impl Orders for PageOrders {
+    fn task(&self) -> &'static str {
+        "the intake of the page's orders"
+    }
+
+    fn take(&mut self) -> Vec<intake::Given> {
+        let (mut orders, now_s) = (Vec::new(), boot_now_s());
         self.unanswered.retain(|(_, given)| !given.answer.is_closed());
         while let Ok(given) = self.page.try_recv() {
-            if given.at.elapsed().as_secs_f64() > COUNTS_FOR_S && !given.order.only_stops() {
+            if now_s - given.boot_s > COUNTS_FOR_S && !given.order.only_stops() {
                 let why = "nothing was done: the order was not taken in in time; look at the cell, then give it again";
                 let _ = given.answer.send(Reply::refuse(why));
                 continue;
             }
             self.last += 1;
-            orders.push((self.last, given.order.clone()));
+            orders.push(intake::Given {
+                number: self.last,
+                order: given.order.clone(),
+                boot_s: given.boot_s,
+            });
             self.unanswered.push((self.last, given));
         }
-        // Of what came together, what stops is decided last: an order to arm that lay in the folder does not
-        // undo a disarming that a person was told of.
-        orders.sort_by_key(|(_, order)| order.only_stops());
         orders
     }
 
-    fn reply(&mut self, number: u64, reply: &Reply) {
-        let Some(index) = self.unanswered.iter().position(|(open, _)| *open == number) else {
-            return self.state.reply(number, reply);
-        };
+    fn reply(&mut self, number: u32, reply: &Reply) {
+        let Some(index) = self.unanswered.iter().position(|(open, _)| *open == number) else { return };
         let (_, Given { order, by, answer, .. }) = self.unanswered.swap_remove(index);
         if reply.accepted {
             tracing::info!(?order, by, "ordered: {}", reply.message);
         } else {
             tracing::warn!(?order, by, "order refused: {}", reply.message);
         }
-        // Who gave it may have gone.
-        let _ = answer.send(self.state.remember(&order, reply));
-    }
-
-    fn remember(&self, order: &Order, reply: &Reply) -> Reply {
-        self.state.remember(order, reply)
+        let (memory, reply) = (self.memory.clone(), reply.clone());
+        if GripperMemory::concerns(&order, &reply) {
+            // The disk may take its time: the next order does not wait for it.
+            std::thread::spawn(move || answer.send(memory.remember(&order, &reply)));
+        } else {
+            // Who gave it may have gone.
+            let _ = answer.send(reply);
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::jobs::state::StateFolder;
 
-    /// A state folder with one order.
-    struct Folder(Vec<(u64, Order)>, Vec<(u64, Reply)>);
-
-    impl Orders for Folder {
-        fn take(&mut self) -> Vec<(u64, Order)> {
-            std::mem::take(&mut self.0)
-        }
-
-        fn reply(&mut self, number: u64, reply: &Reply) {
-            self.1.push((number, reply.clone()));
-        }
-
-        fn remember(&self, order: &Order, reply: &Reply) -> Reply {
-            Reply { message: format!("{order:?}: {}", reply.message), ..reply.clone() }
-        }
+    fn page() -> (tempfile::TempDir, Desk, PageOrders) {
+        let folder = tempfile::tempdir().unwrap();
+        let memory = GripperMemory::new(&StateFolder::new(folder.path()), "gripper:502".into());
+        let (desk, orders) = desk(memory);
+        (folder, desk, orders)
     }
 
-    #[tokio::test]
-    async fn each_answer_goes_where_its_order_came_from() {
-        let (desk, join) = desk();
-        let mut orders = join(Folder(vec![(1, Order::Arm)], Vec::new()));
-        let asked = tokio::spawn(async move { desk.order(Order::Pause, "anna".into()).await });
-        let mut taken = Vec::new();
-        while taken.len() < 2 {
-            taken.extend(orders.take());
+    async fn taken(orders: &mut PageOrders) -> intake::Given {
+        loop {
+            if let Some(given) = orders.take().pop() {
+                return given;
+            }
             tokio::task::yield_now().await;
         }
-        let of_page = taken.iter().find(|(_, order)| *order == Order::Pause).expect("the page's").0;
-        orders.reply(of_page, &Reply::accept("paused"));
-        orders.reply(1, &Reply::refuse("not armed"));
-        assert_eq!(asked.await.unwrap(), Reply::accept("Pause: paused"), "what is confirmed is remembered");
-        assert_eq!(orders.state.1, [(1, Reply::refuse("not armed"))]);
     }
 
     #[tokio::test]
-    async fn what_stops_is_decided_after_what_came_with_it() {
-        let (desk, join) = desk();
-        let mut orders = join(Folder(vec![(1, Order::Arm), (2, Order::Abort)], Vec::new()));
-        for order in [Order::Disarm, Order::Resume] {
-            let (answer, answered) = oneshot::channel();
-            desk.0.try_send(Given { order, by: "anna".into(), at: Instant::now(), answer }).unwrap();
-            std::mem::forget(answered);
-        }
-        let taken: Vec<Order> = orders.take().into_iter().map(|(_, order)| order).collect();
-        assert_eq!(taken, [Order::Arm, Order::Resume, Order::Abort, Order::Disarm]);
+    async fn an_answer_comes_back_and_a_confirmed_gripper_is_remembered_before() {
+        let (folder, desk, mut orders) = page();
+        let asked = {
+            let desk = desk.clone();
+            tokio::spawn(async move { desk.order(Order::Pause, "anna".into()).await })
+        };
+        let given = taken(&mut orders).await;
+        assert_eq!((given.number, given.order), (1, Order::Pause));
+        orders.reply(1, &Reply::accept("paused"));
+        assert_eq!(asked.await.unwrap(), Reply::accept("paused"));
+
+        let asked = tokio::spawn(async move { desk.order(Order::ConfirmGripper, "anna".into()).await });
+        let given = taken(&mut orders).await;
+        orders.reply(given.number, &Reply::accept("confirmed"));
+        assert_eq!(asked.await.unwrap(), Reply::accept("confirmed"));
+        assert!(StateFolder::new(folder.path()).gripper_confirmed("gripper:502"), "read back from the disk");
     }
 
     #[tokio::test]
     async fn an_order_that_lay_too_long_moves_nothing_and_a_stop_stops() {
-        let (desk, join) = desk();
-        let mut orders = join(Folder(Vec::new(), Vec::new()));
-        let old = Instant::now().checked_sub(Duration::from_secs(60)).expect("an uptime of a minute");
+        let (_folder, desk, mut orders) = page();
+        let old = boot_now_s() - 60.0;
         let mut answers = Vec::new();
         for order in [Order::Arm, Order::Abort] {
             let (answer, answered) = oneshot::channel();
-            desk.0.try_send(Given { order, by: "anna".into(), at: old, answer }).unwrap();
+            desk.0.try_send(Given { order, by: "anna".into(), boot_s: old, answer }).unwrap();
             answers.push(answered);
         }
-        assert_eq!(orders.take().into_iter().map(|(_, order)| order).collect::<Vec<_>>(), [Order::Abort]);
+        assert_eq!(orders.take().into_iter().map(|given| given.order).collect::<Vec<_>>(), [Order::Abort]);
         let reply = answers.remove(0).await.unwrap();
         assert!(!reply.accepted && reply.message.contains("nothing was done"), "{reply:?}");
         drop(orders);

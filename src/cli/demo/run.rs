@@ -10,7 +10,7 @@ use crate::daemon::cameras::open_camera;
 use crate::daemon::recorder::Recorder;
 use crate::daemon::shell::Shell;
 use crate::daemon::sockets::Addresses;
-use crate::daemon::store::{Keeper, NoOrders};
+use crate::daemon::store::Keeper;
 use crate::daemon::workers::{PerceptionSetup, Sight};
 use crate::demo::cell::{DemoChoice, sim_file};
 use crate::demo::outcome::DemoOutcome;
@@ -121,7 +121,7 @@ async fn with_sim(
     // Nothing real moves: the cell arms itself.
     shell.commission(model, true);
     let job = OneJob { order: Some(order(instance, choice)), over: stop.clone() };
-    shell.keep_in(Box::new(job), Box::new(NoOrders));
+    shell.keep_in(Box::new(job), Vec::new());
     let recorder =
         Recorder::create(&out.join("run.mcap"), RecordedPictures::Jpeg, Some(measured.camera.clone()));
     let mut watch = Watch::new(recorder);
