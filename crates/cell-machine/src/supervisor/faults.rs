@@ -41,16 +41,17 @@ impl Supervisor {
         self.arm_when_open(outside, out);
         self.bring_up(outside, out);
         if let Some(reason) = self.motion_trouble(now, outside).filter(|_| self.moving()) {
-            return self.stop_all(now, JobStatus::Interrupted, reason, out);
+            return self.stop_what_has_begun(now, JobStatus::Interrupted, reason, out);
         }
         let held = self.held_for(now, outside);
         if held > Duration::ZERO && !self.mode.armed() {
             let message = "the arm was held after the cell was disarmed: it does not go on by itself later";
-            return self.stop_all(now, JobStatus::Interrupted, Code::Aborted.because(message, ""), out);
+            let reason = Code::Aborted.because(message, "");
+            return self.stop_what_has_begun(now, JobStatus::Interrupted, reason, out);
         }
         if held > LONGEST_PAUSE {
             let reason = self.held_too_long(outside);
-            return self.stop_all(now, JobStatus::Interrupted, reason, out);
+            return self.stop_what_has_begun(now, JobStatus::Interrupted, reason, out);
         }
         self.watch_arming(now, outside, out);
         if self.remaining.is_zero() {
@@ -139,7 +140,7 @@ impl Supervisor {
                 (Code::WorkTimeout, "the calibration pose was not reached in time".to_string())
             }
         };
-        self.stop_all(now, JobStatus::Failed, code.because(message, ""), out);
+        self.stop_what_has_begun(now, JobStatus::Failed, code.because(message, ""), out);
     }
 
     /// Everything the robot reports besides a finished path.
@@ -194,7 +195,7 @@ impl Supervisor {
         if reason.code == Code::HeartbeatLost && self.job_outlives_a_stop() && self.mode.armed() {
             self.stop_and_keep_the_job(now, reason, out);
         } else if moves {
-            self.stop_all(now, JobStatus::Interrupted, reason, out);
+            self.stop_what_has_begun(now, JobStatus::Interrupted, reason, out);
         } else {
             self.stand_down(now, reason, out);
         }
@@ -293,6 +294,22 @@ impl Supervisor {
         alarm(out, format!("{STOP_ORDERED}: {}; {}", reason.message, reason.hint));
         self.end_what_moves(now, &reason, out);
         self.finish(now, end, reason, out);
+    }
+
+    /// Stops the arm and disarms. The active job ends with it as `end` says, unless it came during a
+    /// calibration round: it has not begun, and waits.
+    pub(crate) fn stop_what_has_begun(
+        &mut self,
+        now: Timestamp,
+        end: JobStatus,
+        reason: Reason,
+        out: &mut Vec<Action>,
+    ) {
+        if self.round.is_some() && self.job.is_some() {
+            self.stop_and_keep_the_job(now, reason, out);
+        } else {
+            self.stop_all(now, end, reason, out);
+        }
     }
 
     /// The job may go on after an object that was lost or a heartbeat that was missed.

@@ -87,7 +87,8 @@ impl Supervisor {
     fn lapse(&mut self, now: Timestamp, outside: &DeviceSnapshot, why: &str, out: &mut Vec<Action>) {
         let held = self.moving() && motion_speed(outside) == 0.0;
         if held || self.round.is_some() || self.back.recovery.is_some() {
-            return self.stop_all(now, JobStatus::Interrupted, Code::ArmingLapsed.because(why, ""), out);
+            let reason = Code::ArmingLapsed.because(why, "");
+            return self.stop_what_has_begun(now, JobStatus::Interrupted, reason, out);
         }
         let goes_on = self.disarm_after_this_motion(now, outside, out);
         let first = match (goes_on, &self.phase) {

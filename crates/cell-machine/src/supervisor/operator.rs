@@ -192,7 +192,7 @@ impl Supervisor {
                 (false, false) => "on a way back",
             };
             let reason = Code::Aborted.because(format!("the operator disarmed the cell {what}"), "");
-            self.stop_all(now, JobStatus::Interrupted, reason, out);
+            self.stop_what_has_begun(now, JobStatus::Interrupted, reason, out);
             return self.answer_when_it_stands(now, number, Then::Say);
         }
         let goes_on = self.disarm_after_this_motion(now, outside, out);

@@ -39,6 +39,30 @@ fn a_calibration_round_keeps_off_what_may_lie_on_the_table() {
     }
 }
 
+/// It has not begun: the end of the round is not its own.
+#[test]
+fn a_job_that_comes_during_a_round_waits_when_the_round_is_stopped() {
+    let target = Joints([-1.5, -1.6, 1.9, -1.9, -1.57, 0.0]);
+    type End = fn(&mut Bench) -> Vec<Action>;
+    let ends: [(&str, End); 2] = [
+        ("a disarming", |bench| bench.feed(order(Order::Disarm))),
+        ("an arm guided by hand", |bench| {
+            bench.robot.guided = true;
+            bench.ticks(3)
+        }),
+    ];
+    for (what, end) in ends {
+        let mut bench = Bench::new();
+        bench.feed(Input::Round(Box::new(RoundOrder { poses: vec![target], room: None })));
+        bench.ticks(20);
+        bench.job(false);
+        let ended = end(&mut bench);
+        assert!(ended.iter().any(|action| matches!(action, Action::RoundOver(Err(_)))), "{what}: {ended:?}");
+        assert!(!bench.cell.mode().armed() && bench.cell.round.is_none(), "{what}");
+        assert!(bench.cell.job.as_ref().is_some_and(|job| job.order.id == "j"), "{what}: the job waits");
+    }
+}
+
 /// What a person orders at the page has the gates of any motion, and arms nothing.
 #[test]
 fn a_calibration_round_is_ordered_in_an_armed_cell_that_rests() {
