@@ -465,6 +465,7 @@ mod tests {
     use super::*;
     use crate::config::load::load_cell;
     use crate::jobs::record::StepPhase;
+    use cell_machine::supervisor::status::Doing;
     use rearrange::geometry::pose::Pose2;
 
     fn open(state: &StateFolder) -> StateKeeper {
@@ -536,6 +537,21 @@ mod tests {
     }
 
     #[test]
+    fn a_cell_whose_arm_is_on_the_way_is_not_idle_without_a_job_either() {
+        let (_folder, state, mut keeper) = with_a_job();
+        let rests = [Doing::Idle, Doing::Paused, Doing::Ready, Doing::Writing];
+        let moves =
+            [Doing::Visiting(1, 8), Doing::Parking, Doing::Recovering("lifting".into()), Doing::Stopping];
+        for (doing, word) in
+            rests.map(|doing| (doing, "idle")).into_iter().chain(moves.map(|doing| (doing, "working")))
+        {
+            keeper.status(&Status { doing: doing.clone(), ..Status::idle() });
+            let written = status::Status::read(&state.status()).unwrap().expect("a status");
+            assert_eq!(written.state, word, "{doing:?}");
+        }
+    }
+
+    #[test]
     fn on_a_full_disk_no_job_is_begun_and_the_status_says_so() {
         let (_folder, state, mut keeper) = with_a_job();
         let need = std::mem::replace(&mut keeper.disk.jobs_need, u64::MAX);
@@ -547,7 +563,9 @@ mod tests {
         };
         let full = written(&mut keeper);
         assert!(full.message.contains("no job is begun") && full.hint.contains("make room"), "{full:?}");
+        assert!(full.blocked.is_some_and(|why| full.message.ends_with(&why)));
         keeper.disk.jobs_need = need;
+        assert_eq!(written(&mut keeper).blocked, None);
         assert_eq!((written(&mut keeper).message.as_str(), keeper.claim().is_some()), ("idle", true));
     }
 }

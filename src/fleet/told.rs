@@ -14,7 +14,7 @@ const IDLE: &str = "idle";
 
 /// Nothing is worked on, nothing waits, and nothing has to be done by a person first.
 pub fn is_idle(status: &Status) -> bool {
-    let free = status.job.is_none() && status.waiting == 0 && status.unread == 0;
+    let free = status.job.is_none() && status.waiting == 0 && status.unread == 0 && status.blocked.is_none();
     free && status.state == IDLE && !status.paused && status.stopped.is_none() && status.holding.is_none()
 }
 
@@ -111,6 +111,7 @@ mod tests {
             Status { waiting: 1, ..idle() },
             Status { unread: 1, ..idle() },
             Status { paused: true, ..idle() },
+            Status { blocked: Some("the disk is nearly full".into()), ..idle() },
             Status { stopped: Some(Stopped::default()), ..idle() },
             Status { holding: Some("mug".into()), ..idle() },
             Status { state: "executing".into(), ..idle() },

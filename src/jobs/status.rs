@@ -38,6 +38,9 @@ pub struct Status {
     /// The stop that is still to be left.
     #[serde(default)]
     pub stopped: Option<Stopped>,
+    /// Why no job is begun although none is active.
+    #[serde(default)]
+    pub blocked: Option<String>,
     /// Stopped between steps on the operator's order.
     pub paused: bool,
     /// The active job.

@@ -36,7 +36,9 @@ impl StateKeeper {
             pid: std::process::id(),
             started_unix_s: self.started_unix_s,
             written_unix_s: unix_now_s(),
-            state: if status.job.is_some() { "working" } else { "idle" }.to_string(),
+            state: if status.job.is_some() || status.doing.is_under_way() { "working" } else { "idle" }
+                .to_string(),
+            blocked: disk.clone(),
             message,
             armed: status.armed,
             paused: status.paused,

@@ -63,6 +63,25 @@ pub enum Doing {
     Ending,
 }
 
+impl Doing {
+    /// The arm, its power or a job is on the way somewhere: not over yet, whether with a job or without one.
+    pub fn is_under_way(&self) -> bool {
+        match self {
+            Doing::Stopping
+            | Doing::StartingRobot
+            | Doing::Looking(..)
+            | Doing::Planning
+            | Doing::AwaitingApproval
+            | Doing::Working(..)
+            | Doing::Parking
+            | Doing::Recovering(_)
+            | Doing::Visiting(..)
+            | Doing::Ending => true,
+            Doing::Idle | Doing::Waiting(_) | Doing::Paused | Doing::Writing | Doing::Ready => false,
+        }
+    }
+}
+
 /// How the cell looks from outside.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct Status {
