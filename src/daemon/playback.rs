@@ -246,11 +246,26 @@ impl Playback {
     }
 }
 
+/// Longer recordings are no page: all of it is in memory while it is made, and in the browser after.
+const MOST_BYTES: u64 = 200 << 20;
+
 /// The recordings of one job on a page, one after the other.
 ///
 /// # Errors
-/// A file that is no recording, or none of them holds decisions.
+/// A file that is no recording, none of them holds decisions, or together they are too large.
 pub fn page_of(title: String, files: &[PathBuf]) -> Result<String, String> {
+    page_within(title, files, MOST_BYTES)
+}
+
+fn page_within(title: String, files: &[PathBuf], most: u64) -> Result<String, String> {
+    let bytes: u64 = files.iter().filter_map(|path| path.metadata().ok()).map(|file| file.len()).sum();
+    if bytes > most {
+        return Err(format!(
+            "the recording has {} MB, and a page shows {} at most: Foxglove opens the file",
+            bytes >> 20,
+            most >> 20
+        ));
+    }
     let mut page = Playback::new(title, 0.0);
     let (mut epoch, mut decided) = (None, false);
     for path in files {
@@ -304,4 +319,20 @@ fn millimetres(point: &Point3<f64>) -> [i32; 3] {
 fn seen_from_above(pose: &Isometry3<f64>) -> Pose2 {
     let along = pose.rotation * nalgebra::Vector3::x();
     Pose2::new(pose.translation.x, pose.translation.y, along.y.atan2(along.x))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_recording_that_is_too_large_for_a_page_is_refused_before_it_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let files = ["a.mcap", "b.mcap"].map(|name| folder.path().join(name));
+        files.iter().for_each(|path| std::fs::write(path, vec![0; 2 << 20]).unwrap());
+        let refused = page_within("job a".into(), &files, 3 << 20).unwrap_err();
+        assert!(refused.contains("has 4 MB") && refused.contains("3 at most"), "{refused}");
+        let read = page_within("job a".into(), &files, 4 << 20).unwrap_err();
+        assert!(read.contains("no decisions"), "{read}");
+    }
 }

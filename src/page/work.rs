@@ -185,9 +185,15 @@ pub async fn file(
     Ok(([(CONTENT_TYPE, kind)], bytes).into_response())
 }
 
+/// Jobs of longer ago are not counted, s: the records of all of them are read.
+const COUNTED_S: f64 = 31.0 * 24.0 * 3600.0;
+
 /// `GET /api/v1/shift`
 pub async fn shift(State(app): State<App>, Query(wanted): Query<Wanted>) -> Result<Response, Refused> {
     let begun = wanted.filter()?.since_unix_s.unwrap_or_else(|| unix_now_s() - 8.0 * 3600.0);
+    if begun < unix_now_s() - COUNTED_S {
+        return Err(Refused::new(StatusCode::BAD_REQUEST, "`since` goes back 31 days at most"));
+    }
     let body = beside(move || -> Result<Value, Refused> {
         let filter = JobFilter { since_unix_s: Some(begun), ..JobFilter::default() };
         let jobs = match journal(&app)? {
