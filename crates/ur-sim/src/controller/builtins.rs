@@ -115,7 +115,7 @@ pub const TABLE: &[Entry] = entries![
     Modelled freedrive_mode(; freeAxes, feature) "gives way to the forces of the world";
     Modelled freedrive_mode_no_incorrect_payload_check() "freedrive on all axes";
     Modelled end_freedrive_mode() "";
-    Real get_freedrive_status() "";
+    Modelled get_freedrive_status() "how near a singularity is: assumed singular values of the Jacobian";
     Modelled teach_mode() "freedrive on all axes";
     Modelled end_teach_mode() "";
     Modelled screw_driving(f, v_limit) "force mode along the tool's z";

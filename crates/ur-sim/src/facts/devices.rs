@@ -2,7 +2,7 @@
 
 use crate::facts::rig::{Cell, config, hex};
 use crate::facts::row::source::{ROBOTIQ, RTU, VGC10};
-use crate::facts::row::{Fact, Section, number, numbers, text};
+use crate::facts::row::{Fact, Section, figures, number, numbers, text};
 use crate::session::Port;
 use crate::world::drive::{Drive, FingersSpec};
 use crate::world::lock;
@@ -26,7 +26,7 @@ pub fn section() -> Section {
         WORDS.iter().map(|(what, word, meaning)| text(what, VGC10, meaning, commanded(*word))).collect();
     rows.extend([both_channels(), vacuum(), default_limit()]);
     rows.push(text("Modbus RTU, checksum of 02 07", RTU, "41 12", hex(&checksum(&[2, 7]).to_le_bytes())));
-    rows.extend([activation(), travel(), range()]);
+    rows.extend([activation(), travel()]);
     Section { title: "Grippers", rows }
 }
 
@@ -60,7 +60,7 @@ fn both_channels() -> Fact {
     numbers(
         "VGC10, one 0x10 for both channels: targets",
         VGC10,
-        (&[60.0, 60.0], 1e-6, "%"),
+        figures(&[60.0, 60.0], 1e-6, "%"),
         answer.unwrap_or_default(),
     )
 }
@@ -70,7 +70,7 @@ fn vacuum() -> Fact {
     number(
         "VGC10, registers 258 and 259 in one answer",
         VGC10,
-        (&[13.0], 0.0, "bytes"),
+        figures(&[13.0], 0.0, "bytes"),
         answer.unwrap_or(f64::NAN),
     )
 }
@@ -81,7 +81,7 @@ fn default_limit() -> Fact {
     number(
         "VGC10, register 2 at the start: current limit",
         VGC10,
-        (&[500.0], 0.0, "mA"),
+        figures(&[500.0], 0.0, "mA"),
         answer.unwrap_or(f64::NAN),
     )
 }
@@ -121,26 +121,6 @@ fn travel() -> Fact {
         "Robotiq: SET POS 255 SPE 255 FOR 100 GTO 1, GET PRE, GET OBJ, 2 s, GET OBJ",
         ROBOTIQ,
         "ack / PRE 255 / OBJ 0 / OBJ 3",
-        answer.unwrap_or_default(),
-    )
-}
-
-fn range() -> Fact {
-    let answer = fingers().map(|mut cell| {
-        cell.lines(Port::Robotiq, &["SET ACT 1"]);
-        cell.wait(2.0);
-        let at = |cell: &mut Cell, wanted: &str| {
-            cell.lines(Port::Robotiq, &[wanted]);
-            cell.wait(2.0);
-            let said = cell.lines(Port::Robotiq, &["GET POS"]);
-            said.rsplit(' ').next().and_then(|number| number.parse().ok()).unwrap_or(f64::NAN)
-        };
-        vec![at(&mut cell, "SET POS 0 GTO 1"), at(&mut cell, "SET POS 255 GTO 1")]
-    });
-    numbers(
-        "Robotiq 2F-85: GET POS opened and closed, as calibrated clients find",
-        ROBOTIQ,
-        (&[3.0, 227.0], 3.0, ""),
         answer.unwrap_or_default(),
     )
 }

@@ -3,7 +3,7 @@
 use crate::controller::Controller;
 use crate::facts::rig::{config, evaluated, moving_s, numbers_in, playing, said, stopped, until};
 use crate::facts::row::source::{CODES, KINEMATICS, SCRIPT, SHEET};
-use crate::facts::row::{Fact, Section, number, numbers, text};
+use crate::facts::row::{Fact, Section, figures, number, numbers, text};
 use cell_values::units::Joints;
 use ur_arm::kinematics::{DhParameters, forward};
 use ur_arm::pose::ur_pose_from_isometry;
@@ -54,12 +54,12 @@ pub fn section() -> Section {
                 "def m():\n a = get_actual_tcp_pose()\n q = get_actual_joint_positions()\n {moves}\nend\n"
             );
             let own = if *moves == STOP { 0.5 } else { 0.0 };
-            number(what, SCRIPT, (seconds, 0.01, "s"), moving_s(&script) - own)
+            number(what, SCRIPT, figures(seconds, 0.01, "s"), moving_s(&script) - own)
         })
         .collect();
     rows.extend(POSES.iter().map(|(what, q, pose)| {
         let flange = ur_pose_from_isometry(&forward(&DhParameters::UR5E, &Joints(*q)));
-        numbers(what, KINEMATICS, (pose, 1e-4, "m, rad"), same_half_turn(flange, pose).to_vec())
+        numbers(what, KINEMATICS, figures(pose, 1e-4, "m, rad"), same_half_turn(flange, pose).to_vec())
     }));
     rows.extend([servo(), timed_speed(), steady(), fastest_joint(), joint_range(), tool_limit()]);
     rows.extend([offset_limit(), singularity(), gravity()]);
@@ -77,12 +77,12 @@ fn same_half_turn(pose: [f64; 6], like: &[f64]) -> [f64; 6] {
 
 fn servo() -> Fact {
     let seconds = seconds_of("servoj(q, 0, 0)\n servoj(q, 0, 0)\n servoj(q, 0, 0)");
-    number("servoj without t, three of them", SCRIPT, (&[0.006], 1e-6, "s"), seconds)
+    number("servoj without t, three of them", SCRIPT, figures(&[0.006], 1e-6, "s"), seconds)
 }
 
 fn timed_speed() -> Fact {
     let seconds = seconds_of("speedj([0.2,0.3,0.1,0.05,0,0], 0.5, 0.5)");
-    number("speedj with t=0.5 returns after", SCRIPT, (&[0.5], 0.002, "s"), seconds)
+    number("speedj with t=0.5 returns after", SCRIPT, figures(&[0.5], 0.002, "s"), seconds)
 }
 
 /// Simulated time that statements take, by the controller's clock.
@@ -106,7 +106,7 @@ fn steady() -> Fact {
     until(&mut controller, |c| !c.core.mover.stands());
     until(&mut controller, |c| c.core.mover.stands());
     let seconds = until(&mut controller, stopped);
-    number("is_steady() after a move becomes true after", SCRIPT, (&[0.5], 0.006, "s"), seconds)
+    number("is_steady() after a move becomes true after", SCRIPT, figures(&[0.5], 0.006, "s"), seconds)
 }
 
 fn fastest_joint() -> Fact {
@@ -119,7 +119,7 @@ fn fastest_joint() -> Fact {
     number(
         "UR5e: fastest joint of a movej with v=20",
         SHEET,
-        (&[180.0], 0.5, "degrees/s"),
+        figures(&[180.0], 0.5, "degrees/s"),
         fastest.to_degrees(),
     )
 }
@@ -140,7 +140,12 @@ fn tool_limit() -> Fact {
         controller.frame();
         fastest = fastest.max(controller.core.mover.tcp_speed().fixed_rows::<3>(0).norm());
     }
-    number("tool of a movel with v=3, factory safety configuration", SHEET, (&[1.5], 0.02, "m/s"), fastest)
+    number(
+        "tool of a movel with v=3, factory safety configuration",
+        SHEET,
+        figures(&[1.5], 0.02, "m/s"),
+        fastest,
+    )
 }
 
 fn offset_limit() -> Fact {
@@ -149,7 +154,7 @@ fn offset_limit() -> Fact {
          sleep(1)",
         "path_offset_get(1)[1]",
     );
-    number("path offset of 0.5 m without path_offset_set_max_offset", SCRIPT, (&[0.1], 1e-3, "m"), at)
+    number("path offset of 0.5 m without path_offset_set_max_offset", SCRIPT, figures(&[0.1], 1e-3, "m"), at)
 }
 
 fn evaluated_after(statements: &str, expression: &str) -> f64 {
@@ -175,7 +180,7 @@ fn gravity() -> Fact {
     numbers(
         "get_gravity(), x and z; the tool's accelerometer at rest",
         SCRIPT,
-        (&[0.0, 9.82, 9.82], 0.02, "m/s2"),
+        figures(&[0.0, 9.82, 9.82], 0.02, "m/s2"),
         answer,
     )
 }

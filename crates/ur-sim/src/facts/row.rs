@@ -38,10 +38,23 @@ pub mod source {
 /// What is published.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Published {
-    /// Numbers with a tolerance and a unit.
-    Numbers(&'static [f64], f64, &'static str),
+    /// Numbers.
+    Numbers(Figures),
     /// Words, or bytes in hexadecimal.
     Text(&'static str),
+}
+
+/// Numbers as they are published.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Figures {
+    values: &'static [f64],
+    within: f64,
+    unit: &'static str,
+}
+
+/// `values` in `unit`, of which an answer may differ by `within`.
+pub fn figures(values: &'static [f64], within: f64, unit: &'static str) -> Figures {
+    Figures { values, within, unit }
 }
 
 /// What the simulator says.
@@ -78,23 +91,13 @@ pub struct Section {
 }
 
 /// A row with one number.
-pub fn number(
-    what: &'static str,
-    source: &'static str,
-    published: (&'static [f64], f64, &'static str),
-    answer: f64,
-) -> Fact {
+pub fn number(what: &'static str, source: &'static str, published: Figures, answer: f64) -> Fact {
     numbers(what, source, published, vec![answer])
 }
 
 /// A row with several.
-pub fn numbers(
-    what: &'static str,
-    source: &'static str,
-    (values, within, unit): (&'static [f64], f64, &'static str),
-    answer: Vec<f64>,
-) -> Fact {
-    let published = Published::Numbers(values, within, unit);
+pub fn numbers(what: &'static str, source: &'static str, published: Figures, answer: Vec<f64>) -> Fact {
+    let published = Published::Numbers(published);
     Fact { what, published, answer: Answer::Numbers(answer), source, but: "" }
 }
 
@@ -112,7 +115,7 @@ impl Fact {
     /// The answer is what is published, within the tolerance.
     pub fn agrees(&self) -> bool {
         match (&self.published, &self.answer) {
-            (Published::Numbers(values, within, _), Answer::Numbers(answer)) => {
+            (Published::Numbers(Figures { values, within, .. }), Answer::Numbers(answer)) => {
                 let near = |(a, b): (&f64, &f64)| (a - b).abs() <= within + 1e-9;
                 values.len() == answer.len() && values.iter().zip(answer).all(near)
             }
@@ -124,7 +127,7 @@ impl Fact {
     /// What is published, for people.
     pub fn expected(&self) -> String {
         match &self.published {
-            Published::Numbers(values, within, unit) => written(values, *within, unit),
+            Published::Numbers(published) => written(published.values, published),
             Published::Text(text) => format!("`{text}`"),
         }
     }
@@ -132,15 +135,15 @@ impl Fact {
     /// What the simulator says, for people.
     pub fn answered(&self) -> String {
         match (&self.answer, &self.published) {
-            (Answer::Numbers(values), Published::Numbers(_, within, unit)) => written(values, *within, unit),
-            (Answer::Numbers(values), Published::Text(_)) => written(values, 1e-6, ""),
+            (Answer::Numbers(values), Published::Numbers(published)) => written(values, published),
+            (Answer::Numbers(values), Published::Text(_)) => written(values, &figures(&[], 1e-6, "")),
             (Answer::Text(text), _) => format!("`{text}`"),
         }
     }
 }
 
 /// Numbers with as many places as the tolerance has.
-fn written(values: &[f64], within: f64, unit: &str) -> String {
+fn written(values: &[f64], &Figures { within, unit, .. }: &Figures) -> String {
     let places = if within <= 0.0 { 0 } else { (-within.log10()).ceil().clamp(1.0, 9.0) as usize };
     let one = |value: &f64| {
         let text = format!("{value:.places$}");
@@ -157,13 +160,13 @@ mod tests {
 
     #[test]
     fn numbers_agree_within_their_tolerance_and_are_written_with_its_places() {
-        let row = |answer| number("n", "s", (&[2.21], 0.01, "s"), answer);
+        let row = |answer| number("n", "s", figures(&[2.21], 0.01, "s"), answer);
         assert!(row(2.219).agrees() && !row(2.23).agrees() && !row(f64::NAN).agrees());
         assert_eq!((row(2.219).answered(), row(0.0).expected()), ("2.22 s".to_owned(), "2.21 s".to_owned()));
-        let several = numbers("n", "s", (&[0.2, -0.5], 1e-5, ""), vec![0.2, -0.0]);
+        let several = numbers("n", "s", figures(&[0.2, -0.5], 1e-5, ""), vec![0.2, -0.0]);
         assert!(!several.agrees());
         assert_eq!(several.answered(), "0.2, 0");
-        assert!(!numbers("n", "s", (&[1.0], 0.1, ""), vec![]).agrees());
-        assert_eq!(number("n", "s", (&[500.0], 0.0, "Hz"), 500.0).answered(), "500 Hz");
+        assert!(!numbers("n", "s", figures(&[1.0], 0.1, ""), vec![]).agrees());
+        assert_eq!(number("n", "s", figures(&[500.0], 0.0, "Hz"), 500.0).answered(), "500 Hz");
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::facts::rig::{evaluated, refused, value};
 use crate::facts::row::source::SCRIPT;
-use crate::facts::row::{Fact, Section, number, numbers, text};
+use crate::facts::row::{Fact, Section, figures, number, numbers, text};
 
 /// Expression of the manual, what it returns there, and to how many places.
 #[expect(clippy::approx_constant, reason = "as the manual writes it")]
@@ -48,51 +48,96 @@ const EXAMPLES: &[(&str, &[f64], f64)] = &[
     ("get_steptime()", &[0.002], 1e-9),
 ];
 
-/// Statements that the manual rules out.
-const REFUSED: &[(&str, &str)] = &[
-    ("acos(1.1), beyond [-1, 1]", "acos(1.1)"),
-    ("sqrt(-1)", "sqrt(-1)"),
-    ("log(1, 2), base 1", "log(1, 2)"),
-    ("pow(0, -1)", "pow(0, -1)"),
-    ("normalize([0, 0, 0])", "normalize([0, 0, 0])"),
+/// Statements that the manual rules out, and at the limit what it allows.
+const REFUSED: &[(&str, Limit)] = &[
+    ("acos(1.1), beyond [-1, 1]", Limit { beyond: "acos(1.1)", at: "acos(1)" }),
+    ("sqrt(-1)", Limit { beyond: "sqrt(-1)", at: "sqrt(0)" }),
+    ("log(1, 2), base 1", Limit { beyond: "log(1, 2)", at: "log(2, 2)" }),
+    ("pow(0, -1)", Limit { beyond: "pow(0, -1)", at: "pow(0, 1)" }),
+    ("normalize([0, 0, 0])", Limit { beyond: "normalize([0, 0, 0])", at: "normalize([0, 0, 1])" }),
     (
         "servoj with lookahead_time 0.25, beyond [0.03, 0.2]",
-        "servoj([0,-1.57,1.57,-1.57,-1.57,0], 0, 0, 0.002, 0.25, 300)",
+        Limit {
+            beyond: "servoj(get_actual_joint_positions(), 0, 0, 0.002, 0.25, 300)",
+            at: "servoj(get_actual_joint_positions(), 0, 0, 0.002, 0.2, 300)",
+        },
     ),
-    ("servoj with gain 50, beyond [100, 2000]", "servoj([0,-1.57,1.57,-1.57,-1.57,0], 0, 0, 0.002, 0.1, 50)"),
-    ("force_mode_set_gain_scaling(2.1), beyond [0, 2]", "force_mode_set_gain_scaling(2.1)"),
-    ("force_mode_set_damping(1.1), beyond [0, 1]", "force_mode_set_damping(1.1)"),
+    (
+        "servoj with gain 50, beyond [100, 2000]",
+        Limit {
+            beyond: "servoj(get_actual_joint_positions(), 0, 0, 0.002, 0.1, 50)",
+            at: "servoj(get_actual_joint_positions(), 0, 0, 0.002, 0.1, 100)",
+        },
+    ),
+    (
+        "force_mode_set_gain_scaling(2.1), beyond [0, 2]",
+        Limit { beyond: "force_mode_set_gain_scaling(2.1)", at: "force_mode_set_gain_scaling(2)" },
+    ),
+    (
+        "force_mode_set_damping(1.1), beyond [0, 1]",
+        Limit { beyond: "force_mode_set_damping(1.1)", at: "force_mode_set_damping(1)" },
+    ),
     (
         "set_target_payload with an inertia beyond 133 kg m2",
-        "set_target_payload(1, [0,0,0], [134,0,0,0,0,0])",
+        Limit {
+            beyond: "set_target_payload(1, [0,0,0], [134,0,0,0,0,0])",
+            at: "set_target_payload(1, [0,0,0], [133,0,0,0,0,0])",
+        },
     ),
-    ("path_offset_set_alpha_filter(1.5), beyond [0, 1]", "path_offset_set_alpha_filter(1.5)"),
-    ("write_output_integer_register(48, 1), beyond 47", "write_output_integer_register(48, 1)"),
-    ("set_flag(33, True), beyond 32", "set_flag(33, True)"),
+    (
+        "path_offset_set_alpha_filter(1.5), beyond [0, 1]",
+        Limit { beyond: "path_offset_set_alpha_filter(1.5)", at: "path_offset_set_alpha_filter(1)" },
+    ),
+    (
+        "write_output_integer_register(48, 1), beyond 47",
+        Limit { beyond: "write_output_integer_register(48, 1)", at: "write_output_integer_register(47, 1)" },
+    ),
+    ("set_flag(33, True), beyond 32", Limit { beyond: "set_flag(33, True)", at: "set_flag(32, True)" }),
     (
         "estimate_payload of three poses",
-        "estimate_payload([p[0,0,0,0,0,0], p[0,0,0,1,0,0], p[0,0,0,0,1,0]], [p[0,0,0,0,0,0], p[0,0,0,0,0,0], p[0,0,0,0,0,0]])",
+        Limit {
+            beyond: "estimate_payload([p[0,0,0,0,0,0], p[0,0,0,1,0,0], p[0,0,0,0,1,0]], [p[0,0,0,0,0,0], p[0,0,0,0,0,0], p[0,0,0,0,0,0]])",
+            at: "estimate_payload([p[0,0,0,0,0,0], p[0,0,0,1,0,0], p[0,0,0,0,1,0], p[0,0,0,-1,0,0]], [p[0,0,-10,0,0,0], p[0,0,-10,0,0,0], p[0,0,-10,0,0,0], p[0,0,-10,0,0,0]])",
+        },
     ),
 ];
+
+/// Two statements that differ in one number: the manual allows the one and rules the other out.
+struct Limit {
+    beyond: &'static str,
+    at: &'static str,
+}
+
+impl Limit {
+    /// What becomes of the statement beyond the limit, unless the one at the limit is refused as well: then
+    /// it is not the limit that counts.
+    fn answer(&self) -> &'static str {
+        let refused = |statement: &str| refused(&format!("def f():\n {statement}\nend\n"));
+        match (refused(self.beyond), refused(self.at)) {
+            (true, false) => "runtime exception",
+            (true, true) => "runtime exception, also at the limit",
+            (false, _) => "accepted",
+        }
+    }
+}
 
 /// The table.
 pub fn section() -> Section {
     let mut rows: Vec<Fact> = EXAMPLES
         .iter()
         .map(|(expression, values, within)| {
-            numbers(expression, SCRIPT, (values, *within, ""), evaluated(expression))
+            numbers(expression, SCRIPT, figures(values, *within, ""), evaluated(expression))
         })
         .collect();
-    rows.extend(REFUSED.iter().map(|(what, statement)| {
-        let ended = refused(&format!("def f():\n {statement}\nend\n"));
-        let answer = if ended { "runtime exception" } else { "accepted" };
-        text(what, SCRIPT, "runtime exception", answer.to_owned())
-    }));
+    let refused = |(what, limit): &(&'static str, Limit)| {
+        text(what, SCRIPT, "runtime exception", limit.answer().to_owned())
+    };
+    rows.extend(REFUSED.iter().map(refused));
     rows.push(text("make_list(5, \"a\")", SCRIPT, "[a, a, a, a, a]", value("make_list(5, \"a\")")));
     rows.push(number(
         "integer_to_binary_list(57), its length",
         SCRIPT,
-        (&[32.0], 0.0, ""),
+        figures(&[32.0], 0.0, ""),
         evaluated("length(integer_to_binary_list(57))").first().copied().unwrap_or(f64::NAN),
     ));
     Section { title: "Script examples", rows }

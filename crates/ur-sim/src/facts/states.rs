@@ -3,7 +3,7 @@
 use crate::controller::Controller;
 use crate::facts::rig::{Cell, config, playing, stopped, until};
 use crate::facts::row::source::{CLIENTS, CODES, DASHBOARD, FIELD, LIBRARY, RTDE};
-use crate::facts::row::{Fact, Section, number, numbers, text};
+use crate::facts::row::{Fact, Section, figures, number, numbers, text};
 use crate::session::Port;
 use ur_wire::primary_message::{MessageBody, PROGRAM_STARTED, PROGRAM_STOPPED};
 
@@ -86,7 +86,7 @@ fn idle() -> Fact {
     numbers(
         "running, no program: robot_mode, safety_mode, safety_status_bits, runtime_state",
         RTDE,
-        (&[7.0, 1.0, 1.0, 1.0], 0.0, STATES),
+        figures(&[7.0, 1.0, 1.0, 1.0], 0.0, STATES),
         bits(&controller),
     )
 }
@@ -96,14 +96,19 @@ fn protective() -> Fact {
     controller.protective_stop("a fact");
     controller.frame();
     // Bits 2 (protective stop) and 10 (stopped due to safety).
-    numbers("the same in a protective stop", RTDE, (&[7.0, 3.0, 1028.0, 4.0], 0.0, STATES), bits(&controller))
+    numbers(
+        "the same in a protective stop",
+        RTDE,
+        figures(&[7.0, 3.0, 1028.0, 4.0], 0.0, STATES),
+        bits(&controller),
+    )
 }
 
 fn unlocking() -> Fact {
     let mut controller = playing(WORK);
     controller.protective_stop("a fact");
     let seconds = until(&mut controller, |c| c.core.modes.clone().unlock(c.core.step).is_ok());
-    number("a protective stop can be unlocked after", DASHBOARD, (&[5.0], 0.01, "s"), seconds)
+    number("a protective stop can be unlocked after", DASHBOARD, figures(&[5.0], 0.01, "s"), seconds)
 }
 
 fn emergency() -> Fact {
@@ -111,7 +116,12 @@ fn emergency() -> Fact {
     controller.emergency_stop(true);
     controller.frame();
     // Bits 6, 7 and 10; the program has ended, the arm has no power.
-    numbers("the same in an emergency stop", RTDE, (&[3.0, 7.0, 1216.0, 1.0], 0.0, STATES), bits(&controller))
+    numbers(
+        "the same in an emergency stop",
+        RTDE,
+        figures(&[3.0, 7.0, 1216.0, 1.0], 0.0, STATES),
+        bits(&controller),
+    )
 }
 
 fn safeguard() -> Fact {
@@ -124,7 +134,7 @@ fn safeguard() -> Fact {
     answer.extend(bits(&controller).last());
     // Bits 4 and 10; the program goes on by itself.
     let what = "the same in a safeguard stop, and runtime_state when it is over";
-    numbers(what, RTDE, (&[7.0, 5.0, 1040.0, 4.0, 2.0], 0.0, STATES), answer)
+    numbers(what, RTDE, figures(&[7.0, 5.0, 1040.0, 4.0, 2.0], 0.0, STATES), answer)
 }
 
 fn fault() -> Fact {
@@ -139,7 +149,7 @@ fn fault() -> Fact {
     numbers(
         "safety_mode in a fault; safety_mode and robot_mode after `restart safety`",
         DASHBOARD,
-        (&[9.0, 1.0, 3.0], 0.0, STATES),
+        figures(&[9.0, 1.0, 3.0], 0.0, STATES),
         answer,
     )
 }
@@ -150,7 +160,12 @@ fn joint_modes() -> Fact {
     idle.core.modes.power_on();
     until(&mut idle, |c| c.core.modes.robot_mode().code() == 5);
     let answer = vec![of(&Controller::new(config(false))), of(&idle), of(&Controller::new(config(true)))];
-    numbers("joint mode powered off, idle, running", CLIENTS, (&[239.0, 255.0, 253.0], 0.0, STATES), answer)
+    numbers(
+        "joint mode powered off, idle, running",
+        CLIENTS,
+        figures(&[239.0, 255.0, 253.0], 0.0, STATES),
+        answer,
+    )
 }
 
 fn program_states() -> Fact {
@@ -161,7 +176,7 @@ fn program_states() -> Fact {
     let Controller { core, programs } = &mut controller;
     programs.stop(core);
     answer.push(f64::from(programs.runtime_state().code()));
-    numbers("runtime_state playing, paused, stopped", RTDE, (&[2.0, 4.0, 1.0], 0.0, STATES), answer)
+    numbers("runtime_state playing, paused, stopped", RTDE, figures(&[2.0, 4.0, 1.0], 0.0, STATES), answer)
 }
 
 fn local() -> Fact {
@@ -181,7 +196,7 @@ fn clock() -> Fact {
     numbers(
         "timestamp at the start is beyond 40 s, and 500 cycles are",
         LIBRARY,
-        (&[1.0, 1.0], 1e-6, ""),
+        figures(&[1.0, 1.0], 1e-6, ""),
         vec![f64::from(u8::from(before > 40.0)), controller.core.timestamp() - before],
     )
 }
@@ -193,7 +208,7 @@ fn booting_time() -> Fact {
     let mut controller = Controller::new(config(false));
     controller.core.modes.power_on();
     let seconds = until(&mut controller, |c| c.core.modes.robot_mode().code() == 5);
-    number("from power on to IDLE: 3 to 8 s", FIELD, (&[5.5], 2.5, "s"), seconds).but(QUICK)
+    number("from power on to IDLE: 3 to 8 s", FIELD, figures(&[5.5], 2.5, "s"), seconds).but(QUICK)
 }
 
 fn releasing_time() -> Fact {
@@ -202,7 +217,7 @@ fn releasing_time() -> Fact {
     until(&mut controller, |c| c.core.modes.robot_mode().code() == 5);
     controller.core.modes.release_brakes();
     let seconds = until(&mut controller, |c| c.core.modes.brakes_open());
-    number("from brake release to RUNNING: 2 to 5 s", FIELD, (&[3.5], 1.5, "s"), seconds).but(QUICK)
+    number("from brake release to RUNNING: 2 to 5 s", FIELD, figures(&[3.5], 1.5, "s"), seconds).but(QUICK)
 }
 
 /// The messages of a script up to its end, one word each.
@@ -282,7 +297,7 @@ fn read_only() -> Fact {
             );
         codes.last().unwrap_or(f64::NAN)
     });
-    number("error code of a script that comes in local control", CODES, (&[210.0], 0.0, ""), code)
+    number("error code of a script that comes in local control", CODES, figures(&[210.0], 0.0, ""), code)
 }
 
 fn missing_name() -> Fact {
@@ -308,5 +323,5 @@ fn version_first() -> Fact {
         // Length, type 20, timestamp, source, type of the message.
         greeting.get(14).map_or(f64::NAN, |kind| f64::from(*kind))
     });
-    number("type of the first message on 30001 (version)", CLIENTS, (&[3.0], 0.0, ""), kind)
+    number("type of the first message on 30001 (version)", CLIENTS, figures(&[3.0], 0.0, ""), kind)
 }

@@ -2,7 +2,7 @@
 
 use crate::facts::rig::{Cell, hex};
 use crate::facts::row::source::{CLIENTS, DASHBOARD, LIBRARY, MODBUS, PYTHON, RTDE, SCRIPT};
-use crate::facts::row::{Fact, Section, number, numbers, text};
+use crate::facts::row::{Fact, Section, figures, number, numbers, text};
 use crate::session::Port;
 use crate::simulator::ConnectionId;
 
@@ -46,7 +46,7 @@ pub fn rtde() -> Section {
         text("`V`, version 3", PYTHON, "00 04 56 00", hex(&first(&package('V', &[0, 3])))),
         text("`S`", PYTHON, "00 04 53 01", started()),
         text("`P`", PYTHON, "00 04 50 01", hex(&asked('P', &[]))),
-        number("`v`: bytes of four numbers of 32 bit and the header", PYTHON, (&[19.0], 0.0, "bytes"), asked('v', &[]).len() as f64),
+        number("`v`: bytes of four numbers of 32 bit and the header", PYTHON, figures(&[19.0], 0.0, "bytes"), asked('v', &[]).len() as f64),
         text(
             "`O`: types of ten variables",
             RTDE,
@@ -59,10 +59,10 @@ pub fn rtde() -> Section {
             b"speed_slider_mask,speed_slider_fraction,standard_digital_output,input_bit_register_64,input_int_register_24",
         )),
         text("`I` of an input that another client has", RTDE, "IN_USE", claimed()),
-        number("packages in a second at 125 Hz", RTDE, (&[125.0], 0.0, "1/s"), rate(125.0)),
-        number("packages in a second at 500 Hz", RTDE, (&[500.0], 0.0, "1/s"), rate(500.0)),
-        number("packages in a second at 30 Hz: one in floor(500 / 30) cycles", RTDE, (&[31.25], 0.5, "1/s"), rate(30.0)),
-        numbers("an input takes effect in the cycle in which it arrives: read back", RTDE, (&[7.0], 0.0, ""), vec![read_back()]),
+        number("packages in a second at 125 Hz", RTDE, figures(&[125.0], 0.0, "1/s"), rate(125.0)),
+        number("packages in a second at 500 Hz", RTDE, figures(&[500.0], 0.0, "1/s"), rate(500.0)),
+        number("packages in a second at 30 Hz: one in floor(500 / 30) cycles", RTDE, figures(&[31.25], 0.5, "1/s"), rate(30.0)),
+        numbers("an input takes effect in the cycle in which it arrives: read back", RTDE, figures(&[7.0], 0.0, ""), vec![read_back()]),
     ];
     Section { title: "RTDE", rows }
 }
@@ -165,7 +165,7 @@ pub fn others() -> Section {
     let state = robot_state();
     rows.extend(PARTS.iter().map(|(what, kind, length)| {
         let found = part(&state, *kind).unwrap_or(f64::NAN);
-        number(what, CLIENTS, (length, 0.0, "bytes"), found)
+        number(what, CLIENTS, figures(length, 0.0, "bytes"), found)
     }));
     rows.extend([state_rate(), realtime(), interpreter(), discarded(), controller_modbus()]);
     Section { title: "Dashboard, client interfaces, interpreter, Modbus", rows }
@@ -222,7 +222,7 @@ fn state_rate() -> Fact {
     number(
         "robot states in a second on 30002",
         CLIENTS,
-        (&[10.0], 0.11, "1/s"),
+        figures(&[10.0], 0.11, "1/s"),
         count.map_or(f64::NAN, |count| count / 10.0),
     )
 }
@@ -238,7 +238,7 @@ fn realtime() -> Fact {
     numbers(
         "length of the block of 30003 (5.10 and newer), and how many in a second",
         CLIENTS,
-        (&[1220.0, 500.0], 0.0, ""),
+        figures(&[1220.0, 500.0], 0.0, ""),
         answer.unwrap_or_default(),
     )
 }
@@ -287,7 +287,7 @@ fn controller_modbus() -> Fact {
     numbers(
         "502, registers 256 to 258: major and minor version, robot mode",
         MODBUS,
-        (&[5.0, 26.0, 7.0], 0.0, ""),
+        figures(&[5.0, 26.0, 7.0], 0.0, ""),
         answer.unwrap_or_default(),
     )
 }

@@ -140,6 +140,17 @@ const CHANGES: &[(&str, &str, &str)] = &[
         "abs(point_dist(get_actual_tool_flange_pose(), get_actual_tcp_pose()) - 0.125) < 0.000001",
         "True",
     ),
+    // Where it was sent, not where it says that it is.
+    (
+        "movej([0.1,-1.5,1.4,-1.5,-1.5,0.2], a=3, v=2)",
+        "norm(get_target_joint_positions() - [0.1,-1.5,1.4,-1.5,-1.5,0.2]) < 0.000001",
+        "True",
+    ),
+    (
+        "movej(p[-0.3,-0.4,0.4,0,3.14,0], a=3, v=2)",
+        "pose_dist(get_target_tcp_pose(), p[-0.3,-0.4,0.4,0,3.14,0]) < 0.000001",
+        "True",
+    ),
     ("set_payload(1.5, [0, 0, 0.25])", "get_target_payload()", "1.5"),
     ("set_payload_cog([0, 0.5, 0])", "get_target_payload_cog()", "[0, 0.5, 0]"),
     ("set_payload_mass(2.5)", "get_target_payload()", "2.5"),
