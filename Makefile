@@ -47,7 +47,7 @@ DEB_PACKAGES := dpkg-dev binutils
 PACKAGES_BUILT := $(BUILD)/packages
 MOST_MEGABYTES := 15
 
-.PHONY: help setup clients demo try test test-clients test-clients-many test-page bench-page book bench figures
+.PHONY: help setup clients demo try test test-cases test-clients test-clients-many test-page bench-page book bench figures
 .PHONY: fuzz fuzz-corpus setup-fleet test-fleet tidy
 .PHONY: release install uninstall deb test-deb sim-static wheel image test-wheel test-image
 
@@ -55,6 +55,7 @@ help:
 	@echo "make demo [ARGS='--scene planks']   a whole cell in simulation; report in ./out"
 	@echo "make try                            a simulated cell to watch and operate in the browser"
 	@echo "make test                           formatting, lints, documentation, all tests but those of the next line"
+	@echo "make test-cases                     every fault in every phase, every order in every state (make test: a part)"
 	@echo "make tidy                           formatting and house rules alone, in seconds"
 	@echo "make test-page                      the page in a browser (installs Chromium)"
 	@echo "make bench-page                     what viewers of the page cost the loop and the processor (ten minutes)"
@@ -143,11 +144,15 @@ DATA := $(or $(CELLD_DATA),../shared/data)
 # GDAL takes a tenth of a second to start. Those with the RealSense SDK do not: two of its pipelines that
 # open in one process at once corrupt its memory now and then (1 run in 25; celld has one).
 SDK := test(/realsense::tests::/)
-# With cell-fleet (`make test-fleet`) libraries of others get more features, and everything is built twice.
-TESTED := --workspace --exclude cell-fleet
-SHARED := celld cell-calibration cell-machine cell-motion cell-vision
+# All targets name the whole workspace: with fewer crates libraries of others get fewer features, and
+# everything is built once more.
+TESTED := --workspace
+SHARED := celld cell-calibration cell-fleet cell-machine cell-motion cell-vision
 CELLS := test(/(^|::)cell_/) | test(/^robot_session::/)
 UNITS_LOG := $(BUILD)/units.log
+
+# Which part of the faults and of the orders in all states is tried: another one with each commit.
+export CELLD_PART ?= $(shell git -C $(CURDIR) rev-list --count HEAD 2>/dev/null || echo 0)
 
 # What needs no build of the workspace: a breach of a house rule is found in seconds.
 tidy:
@@ -156,9 +161,9 @@ tidy:
 	@CARGO_MANIFEST_DIR=$(CURDIR) $(BUILD)/tidy --quiet
 
 test: setup tidy
-	cargo clippy --workspace --all-targets -- -D warnings
-	cargo clippy --no-default-features --lib --bins -- -D warnings
-	RUSTDOCFLAGS="-D warnings" cargo doc --quiet --workspace --no-deps --lib
+	cargo clippy $(TESTED) --all-targets --features fleet -- -D warnings
+	cargo clippy $(TESTED) --no-default-features --lib --bins --test tidy -- -D warnings
+	RUSTDOCFLAGS="-D warnings" cargo doc --quiet $(TESTED) --no-deps --lib
 	cargo test --quiet --doc $(TESTED)
 	@[ -d "$(DATA)" ] || echo "SKIPPED: tests on the public instances and camera recordings, no folder $(DATA) (set CELLD_DATA)"
 	@if cargo nextest --version >/dev/null 2>&1; then \
@@ -166,19 +171,23 @@ test: setup tidy
 	  sync; \
 	  echo "cargo nextest run"; \
 	  idle="chrt --idle 0"; $$idle true 2>/dev/null || idle="nice -n 19"; \
-	  $$idle cargo test --quiet --no-fail-fast $(SHARED:%=-p %) --lib -- --test-threads 1 --skip realsense::tests:: \
+	  $$idle cargo test --quiet --no-fail-fast $(SHARED:%=-p %) --lib -- --test-threads 2 --skip realsense::tests:: \
 	    >$(UNITS_LOG) 2>&1 & units=$$!; \
 	  failed=0; cargo nextest run $(TESTED) --profile cells --test-threads 4 -E '$(CELLS)' || failed=1; \
 	  wait $$units || { failed=1; cat $(UNITS_LOG); }; \
 	  grep '^test result' $(UNITS_LOG) || true; \
-	  cargo nextest run $(TESTED) -E 'not (test(/^third_party::/) | $(CELLS) | (kind(lib) & ($(foreach crate,$(SHARED),package($(crate)) |) none()) - $(SDK)))' || failed=1; \
+	  cargo nextest run $(TESTED) -E 'not (test(/^third_party::/) | package(cell-fleet) | $(CELLS) | (kind(lib) & ($(foreach crate,$(SHARED),package($(crate)) |) none()) - $(SDK)))' || failed=1; \
 	  [ $$failed = 0 ]; \
 	else \
 	  echo "cargo test"; \
-	  cargo test $(TESTED) --all-targets -- --skip cell_ --skip robot_session:: --skip third_party:: --skip realsense::tests::; \
+	  cargo test $(TESTED) --exclude cell-fleet --all-targets -- --skip cell_ --skip robot_session:: --skip third_party:: --skip realsense::tests::; \
 	  cargo test --lib -- realsense::tests:: --test-threads=1; \
 	  cargo test --test it -- cell_ robot_session:: --test-threads=1; \
 	fi
+
+# Every fault in every phase and every order in every state, of which `make test` tries a part.
+test-cases: setup
+	CELLD_ALL_CASES=1 cargo test $(TESTED) --test it -- every_fault_has every_order_in
 
 # The simulator alone, to be copied anywhere: no library, stripped, at most MOST_MEGABYTES. Naming the target
 # keeps the link flags away from build scripts. Needs no OpenCV, so no `setup`.
@@ -267,12 +276,16 @@ setup-fleet $(FLEET)/installed.txt: tests/fleet/requirements.txt
 	  cp $< $(FLEET)/installed.txt; \
 	fi
 
+FLEET_TESTS := $(patsubst crates/cell-fleet/tests/%.rs,--test %,$(wildcard crates/cell-fleet/tests/*.rs))
+
 test-fleet: export CELLD_NATS_SERVER := $(FLEET)/bin/nats-server
 test-fleet: export CELLD_MQTT_PYTHON := $(FLEET)/bin/python
 test-fleet: setup setup-fleet
-	cargo clippy --features fleet --all-targets -- -D warnings
-	cargo test -p cell-fleet
-	cargo test --features fleet --lib -- fleet
+	@if cargo nextest --version >/dev/null 2>&1; then \
+	  cargo nextest run $(TESTED) --features fleet --lib $(FLEET_TESTS) -E 'package(cell-fleet) | test(/fleet/)'; \
+	else \
+	  cargo test -p cell-fleet; cargo test --features fleet --lib -- fleet; \
+	fi
 
 # With the features that the libraries have in `make test` too (a test target adds those of the tests), so
 # that nothing is built for the page alone.
