@@ -222,7 +222,7 @@ fn checks(figures: &mut MotionFigures, subject: &Subject, seed: u64) {
 /// The arm with a rod in place of its gripper, which the other model has too, thinner.
 fn with_a_rod(model: &ArmModel, table: [f64; 2]) -> Bodies {
     let mut cell = CellBodies::bare();
-    let (a, b, radius) = rod(model);
+    let Capsule { a, b, radius } = rod(model);
     cell.tool.push(NamedShape { name: "the rod".to_string(), shape: Shape::capsule(a, b, radius) });
     let (base_from_table, flange_from_tool) = (model.base_from_table, model.flange_from_tool);
     Bodies::new(&model.dh, &Surroundings { base_from_table, flange_from_tool, table, link_floor: 0.0, cell })
@@ -230,8 +230,8 @@ fn with_a_rod(model: &ArmModel, table: [f64; 2]) -> Bodies {
 
 /// The same rod in the other model.
 fn thin_rod(model: &ArmModel) -> Capsule {
-    let (a, b, radius) = rod(model);
-    Capsule { a, b, radius: radius - THINNER_M }
+    let rod = rod(model);
+    Capsule { radius: rod.radius - THINNER_M, ..rod }
 }
 
 /// Random joint moves, against another model of the arm.

@@ -10,10 +10,11 @@ use cell_motion::path::ArmModel;
 use cell_values::units::Joints;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use ur_arm::bodies::Capsule;
 
 /// A rod in place of the gripper, from a little off the flange to the cups: ends and radius, m.
-pub fn rod(model: &ArmModel) -> ([f64; 3], [f64; 3], f64) {
-    ([0.0, 0.0, 0.07], model.flange_from_tool.translation.vector.into(), 0.04)
+pub fn rod(model: &ArmModel) -> Capsule {
+    Capsule { a: [0.0, 0.0, 0.07], b: model.flange_from_tool.translation.vector.into(), radius: 0.04 }
 }
 
 /// Points a roadmap's point is joined with.

@@ -18,7 +18,7 @@ use crate::page::feed::{Feed, Sight};
 use crate::page::orders::Desk;
 use cell_edge::clock::unix_now_s;
 use cell_fleet::payloads::{CellState, Job, What};
-use cell_fleet::side::{CellSide, Ordered};
+use cell_fleet::side::{CellEvent, CellSide, Ordered};
 use cell_fleet::subjects::Asked;
 use cell_fleet::values::Local;
 use cell_machine::orders::{Order, Reply};
@@ -57,7 +57,7 @@ pub struct Side {
     handed: BTreeMap<String, Handed>,
     /// Jobs that were decided about from afar: told already.
     decided_afar: BTreeSet<String>,
-    pending: Vec<(Option<String>, What, f64)>,
+    pending: Vec<CellEvent>,
 }
 
 impl Side {
@@ -78,7 +78,7 @@ impl Side {
     fn follow(&mut self) {
         while let Ok((status, unix_s)) = self.statuses.try_recv() {
             for (job, what) in events(&self.last, &status) {
-                self.pending.push((job, what, unix_s));
+                self.pending.push(CellEvent { job, what, unix_s });
             }
             for job in decided(&self.last, &status) {
                 self.decided(&job, unix_s);
@@ -90,7 +90,8 @@ impl Side {
             self.seen_unix_s = unix_s;
             let objects = u32::try_from(seen.objects.len()).unwrap_or(u32::MAX);
             let residual_mm = seen.reference_residual_m.map(|residual| residual * 1e3);
-            self.pending.push((self.last.job.clone(), What::Looked { objects, residual_mm }, unix_s));
+            let (job, what) = (self.last.job.clone(), What::Looked { objects, residual_mm });
+            self.pending.push(CellEvent { job, what, unix_s });
         }
     }
 
@@ -103,7 +104,7 @@ impl Side {
         let Some(record) = record else { return };
         let what =
             What::Approved { by: "a person at the cell".to_string(), agreed: record.approved.is_some() };
-        self.pending.push((Some(job.to_string()), what, unix_s));
+        self.pending.push(CellEvent { job: Some(job.to_string()), what, unix_s });
     }
 
     fn journal(&self) -> Result<Option<Journal>, String> {
@@ -163,7 +164,7 @@ impl CellSide for Side {
         state
     }
 
-    fn events(&mut self) -> Vec<(Option<String>, What, f64)> {
+    fn events(&mut self) -> Vec<CellEvent> {
         self.follow();
         std::mem::take(&mut self.pending)
     }

@@ -110,7 +110,7 @@ impl Recording {
         let mut data = Vec::with_capacity(message.encoded_len().unwrap_or(64));
         // Writing into memory cannot fail; a message that cannot be encoded is left out.
         let (Ok(()), Some(schema)) = (message.encode(&mut data), T::get_schema()) else { return Ok(()) };
-        let schema = (schema.name.as_str(), schema.encoding.as_str(), schema.data.as_ref());
+        let schema = Schema { name: &schema.name, encoding: &schema.encoding, data: &schema.data };
         self.write(topic, &T::get_message_encoding(), Some(schema), at, &data)
     }
 
@@ -128,7 +128,7 @@ impl Recording {
         let (sec, nsec) = (log_time / 1_000_000_000, log_time % 1_000_000_000);
         message["timestamp"] = json!({"sec": sec, "nsec": nsec});
         let schema = schema_text(topic);
-        let schema = Some((topic.schema, "jsonschema", schema.as_bytes()));
+        let schema = Some(Schema { name: topic.schema, encoding: "jsonschema", data: schema.as_bytes() });
         self.write(topic.name, "json", schema, at, message.to_string().as_bytes())
     }
 
@@ -162,7 +162,7 @@ impl Recording {
         &mut self,
         topic: &str,
         encoding: &str,
-        schema: Option<(&str, &str, &[u8])>,
+        schema: Option<Schema>,
         at: Timestamp,
         data: &[u8],
     ) -> Result<(), RecordingError> {
@@ -175,19 +175,26 @@ impl Recording {
         &mut self,
         topic: &str,
         encoding: &str,
-        schema: Option<(&str, &str, &[u8])>,
+        schema: Option<Schema>,
         log_time: u64,
         data: &[u8],
     ) -> Result<(), mcap::McapError> {
         // 0 is the format's word for no schema.
-        let schema =
-            schema.map_or(Ok(0), |(name, encoding, data)| self.writer.add_schema(name, encoding, data))?;
+        let schema = schema.map_or(Ok(0), |of| self.writer.add_schema(of.name, of.encoding, of.data))?;
         let channel_id = self.writer.add_channel(schema, topic, encoding, &BTreeMap::new())?;
         let sequence = self.sequences.entry(channel_id).or_insert(0);
         *sequence = sequence.wrapping_add(1);
         let header = MessageHeader { channel_id, sequence: *sequence, log_time, publish_time: log_time };
         self.writer.write_to_known_channel(&header, data)
     }
+}
+
+/// What describes the messages of a topic.
+#[derive(Clone, Copy)]
+struct Schema<'a> {
+    name: &'a str,
+    encoding: &'a str,
+    data: &'a [u8],
 }
 
 /// How files of celld are written.

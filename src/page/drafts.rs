@@ -39,7 +39,7 @@ fn mm(metres: f64) -> String {
 /// Everything that is wrong with these goals.
 pub fn troubles(config: &CellConfig, goals: &[GoalPose]) -> Vec<Trouble> {
     let mut found = Vec::new();
-    let mut known: Vec<(&ObjectSpec, Placed, Pose2)> = Vec::new();
+    let mut known: Vec<Wanted> = Vec::new();
     for (index, goal) in goals.iter().enumerate() {
         let one = |kind, message| Trouble { objects: vec![goal.id.clone()], kind, message };
         if goals[..index].iter().any(|other| other.id == goal.id) {
@@ -49,16 +49,26 @@ pub fn troubles(config: &CellConfig, goals: &[GoalPose]) -> Vec<Trouble> {
         match config.objects.iter().find(|object| object.id == goal.id) {
             None => found.push(one("unknown", format!("the catalogue has no {}", goal.id))),
             Some(object) if object.fixed => found.push(one("fixed", format!("{} never moves", goal.id))),
-            Some(object) => known.push((object, Placed::new(&object.footprint, goal.pose), goal.pose)),
+            Some(object) => {
+                let placed = Placed::new(&object.footprint, goal.pose);
+                known.push(Wanted { object, placed, pose: goal.pose });
+            }
         }
     }
-    for (index, (object, placed, pose)) in known.iter().enumerate() {
+    for (index, Wanted { object, placed, pose }) in known.iter().enumerate() {
         found.extend(of_the_table(config, object, placed, pose));
-        for (other, there, _) in &known[..index] {
-            found.extend(of_two(config, (&object.id, placed), (&other.id, there)));
+        for other in &known[..index] {
+            found.extend(of_two(config, (&object.id, placed), (&other.object.id, &other.placed)));
         }
     }
     found
+}
+
+/// An object at its goal.
+struct Wanted<'a> {
+    object: &'a ObjectSpec,
+    placed: Placed,
+    pose: Pose2,
 }
 
 /// Over the edge, or in a place that stays free.

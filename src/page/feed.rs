@@ -90,12 +90,19 @@ pub struct Sight {
     pub whole: bool,
 }
 
+/// Joints, rad, and their speeds, rad/s, and when they were shown.
+#[derive(Clone, Copy)]
+struct ArmMotion {
+    q: Joints,
+    qd: [f64; 6],
+    shown: Instant,
+}
+
 #[derive(Default)]
 struct Last {
     status: Option<Arc<Status>>,
     arm: Option<ArmView>,
-    /// Joints and their speeds, and when they were shown.
-    joints: Option<(Joints, [f64; 6], Instant)>,
+    moving: Option<ArmMotion>,
     seen: Option<Sight>,
     sentences: VecDeque<Sentence>,
     cell: Option<Arc<KnownCell>>,
@@ -206,8 +213,8 @@ impl Feed {
 
     /// Where the arm's joints are (rad) and how fast they move (rad/s), as shown within this time.
     pub fn joints_now(&self, within: std::time::Duration) -> Option<(Joints, [f64; 6])> {
-        let (q, qd, at) = self.last().joints?;
-        (at.elapsed() < within).then_some((q, qd))
+        let ArmMotion { q, qd, shown } = self.last().moving?;
+        (shown.elapsed() < within).then_some((q, qd))
     }
 
     /// How evenly the loop turns.
@@ -357,7 +364,8 @@ impl Observer for Watcher {
                 let view = arm_view(state, cell.as_ref().map(|cell| &cell.model.arm.bodies));
                 self.feed.send("arm", &view);
                 let mut last = self.feed.last();
-                (last.arm, last.joints) = (Some(view), Some((state.q, state.qd, Instant::now())));
+                last.arm = Some(view);
+                last.moving = Some(ArmMotion { q: state.q, qd: state.qd, shown: Instant::now() });
             }
             Scene::Notice(notice) => self.feed.say(notice.alarm, notice.text.clone()),
             Scene::Displayed(Displayed::Observed { seen, partial }) => self.observed(seen, *partial),

@@ -168,7 +168,8 @@ pub async fn order(
         return refusal(StatusCode::BAD_REQUEST, "this is no order to the cell");
     };
     let by = format!("{} ({}) at {peer}", person.grant.name, person.grant.role);
-    if let Err((status, message)) = may_order(&app, &order, &ordered, (&person, via, peer)) {
+    let giver = Giver { person: &person, via, peer };
+    if let Err((status, message)) = may_order(&app, &order, &ordered, &giver) {
         tracing::warn!(?order, by, "order refused by the page: {message}");
         app.orders[1].fetch_add(1, Ordering::Relaxed);
         return match status {
@@ -184,12 +185,15 @@ pub async fn order(
 
 type Reason = (StatusCode, String);
 
-fn may_order(
-    app: &Shared,
-    order: &Order,
-    ordered: &Ordered,
-    (person, via, peer): (&Person, Via, std::net::IpAddr),
-) -> Result<(), Reason> {
+/// Who gives an order, how, and from which computer.
+struct Giver<'a> {
+    person: &'a Person,
+    via: Via,
+    peer: std::net::IpAddr,
+}
+
+fn may_order(app: &Shared, order: &Order, ordered: &Ordered, giver: &Giver) -> Result<(), Reason> {
+    let Giver { person, via, peer } = *giver;
     let least = order.least_role();
     if person.grant.role < least {
         return Err((StatusCode::FORBIDDEN, format!("this order takes the role {least:?}").to_lowercase()));

@@ -9,7 +9,7 @@ use crate::link::{Link, keep_linked};
 use crate::network::{Network, News};
 use crate::payloads::{Answer, Ask, CellState, VERSION, What, decode};
 use crate::pull::pull;
-use crate::side::{CellSide, Settings};
+use crate::side::{CellEvent, CellSide, Settings};
 use crate::store::Store;
 use crate::subjects::Asked;
 use crate::values::{At, Effect, Entry, Input, Settle, Token, Written};
@@ -375,7 +375,7 @@ impl Shell {
 
     /// Looks at the cell: what happened, and how it is.
     fn look(&mut self) {
-        for (job, what, unix_s) in self.cell.events() {
+        for CellEvent { job, what, unix_s } in self.cell.events() {
             self.note(job, what, unix_s);
         }
         let mut state = self.cell.state();

@@ -15,13 +15,24 @@ use tokio::sync::oneshot;
 /// What an order is answered with, later.
 pub type Ordered = oneshot::Receiver<(bool, String)>;
 
+/// What has happened in the cell.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CellEvent {
+    /// The job it is about.
+    pub job: Option<String>,
+    /// What.
+    pub what: What,
+    /// When, s since 1970.
+    pub unix_s: f64,
+}
+
 /// The cell, as its part in the fleet sees it. All of it is what other clients of the daemon have too.
 pub trait CellSide: Send {
     /// The cell's state; what only the fleet knows is filled in later.
     fn state(&mut self) -> CellState;
 
-    /// What has happened since the last call: the job it is about, what, and when, s since 1970.
-    fn events(&mut self) -> Vec<(Option<String>, What, f64)>;
+    /// What has happened since the last call.
+    fn events(&mut self) -> Vec<CellEvent>;
 
     /// Whether the cell can do a job.
     ///

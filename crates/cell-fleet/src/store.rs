@@ -99,7 +99,8 @@ impl Store {
     /// Opens the database, or makes it; `series` names the events of a new one and must be unlike any
     /// before.
     ///
-    /// # Errors SQLite cannot open it ([`StoreError::Database`]), or it is of a later version
+    /// # Errors
+    /// SQLite cannot open it ([`StoreError::Database`]), or it is of a later version
     /// ([`StoreError::Version`]).
     pub fn open(path: &Path, cell: &str, series: &str, limits: Limits) -> Result<Store, StoreError> {
         let fail = |source| StoreError::Database { path: path.to_owned(), source };

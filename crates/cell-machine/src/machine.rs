@@ -17,7 +17,7 @@ use crate::device::robot_types::{
 use crate::event::{Arm, Effect, Event, News};
 use crate::links::{Connections, Wish};
 use crate::orders::Reply;
-use crate::snapshot::snapshot;
+use crate::snapshot::{Sessions, snapshot};
 use crate::supervisor::cell::Supervisor;
 use crate::supervisor::input::{Action, Input, Record};
 use crate::supervisor::model::CellModel;
@@ -314,8 +314,8 @@ impl Machine {
     /// One input through the supervisor; its actions are carried out in order.
     fn step(&mut self, now: Timestamp, input: Input) {
         let Some(supervisor) = &mut self.supervisor else { return self.step_without_cell(input) };
-        let sessions = (&self.robot, &self.gripper, &self.connections);
-        let outside = snapshot(now, sessions, self.gripper_answers);
+        let Machine { robot, gripper, connections, .. } = self;
+        let outside = snapshot(now, &Sessions { robot, gripper, connections }, self.gripper_answers);
         let actions = supervisor.step(now, &outside, input);
         let mut refused = Vec::new();
         for action in actions {
@@ -450,8 +450,9 @@ impl Machine {
     fn show(&mut self, now: Timestamp) {
         self.report_identity();
         let Some(supervisor) = &self.supervisor else { return };
-        let sessions = (&self.robot, &self.gripper, &self.connections);
-        let devices = supervisor.device_notes(&snapshot(now, sessions, self.gripper_answers));
+        let Machine { robot, gripper, connections, .. } = self;
+        let sessions = Sessions { robot, gripper, connections };
+        let devices = supervisor.device_notes(&snapshot(now, &sessions, self.gripper_answers));
         let status = Status { devices, ..supervisor.status() };
         if self.notified.status.as_ref() != Some(&status) {
             self.effects.push_back(Effect::Notify(News::Status(status.clone())));

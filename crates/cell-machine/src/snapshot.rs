@@ -13,12 +13,16 @@ use cell_values::time::{Duration, Timestamp};
 /// A vacuum read longer ago than this says nothing: idle channels are read ten times a second.
 const VACUUM_AGE: Duration = Duration::from_millis(500);
 
+/// The devices as their sessions know them.
+pub struct Sessions<'a> {
+    pub robot: &'a Robot,
+    pub gripper: &'a Gripper,
+    pub connections: &'a Connections,
+}
+
 /// Their present state. `gripper_answers`: within its deadline.
-pub fn snapshot<'a>(
-    now: Timestamp,
-    (robot, gripper, connections): (&'a Robot, &Gripper, &Connections),
-    gripper_answers: bool,
-) -> DeviceSnapshot<'a> {
+pub fn snapshot<'a>(now: Timestamp, sessions: &Sessions<'a>, gripper_answers: bool) -> DeviceSnapshot<'a> {
+    let Sessions { robot, gripper, connections } = *sessions;
     DeviceSnapshot {
         link_down: Link::ALL.into_iter().find(|link| !connections.is_up(*link)),
         link_lost: Link::ALL.into_iter().find(|link| connections.is_lost(*link)),

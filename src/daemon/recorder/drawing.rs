@@ -157,10 +157,7 @@ impl Drawing {
         let mut entities: Vec<SceneEntity> = seen
             .objects
             .iter()
-            .filter_map(|object| {
-                let (footprint, height, colour) = self.looks(&object.id)?;
-                Some(self.block(now, &object.id, (footprint, height, colour), &object.pose))
-            })
+            .filter_map(|object| Some(self.block(now, &object.id, &self.looks(&object.id)?, &object.pose)))
             .collect();
         let strangers = seen.foreign.iter().flat_map(|report| &report.objects);
         let outlines = strangers.map(|stranger| {
@@ -180,7 +177,7 @@ impl Drawing {
     /// Outlines of the goals.
     pub fn goal_lines(&self, now: Timestamp) -> SceneUpdate {
         let lines = self.goals.iter().filter_map(|(id, at)| {
-            let (footprint, _, colour) = self.looks(id)?;
+            let Looks { footprint, colour, .. } = self.looks(id)?;
             let points = ring(footprint, at, 0.001);
             Some(LinePrimitive { color: Some(colour), ..line(points, LineType::LineLoop) })
         });
@@ -197,7 +194,7 @@ impl Drawing {
     pub fn route_arrows(&self, now: Timestamp) -> SceneUpdate {
         let mut plan = entity(now, "table", "plan");
         for (number, step) in self.route.iter().enumerate() {
-            let Some((footprint, height, colour)) = self.looks(&step.object) else { continue };
+            let Some(Looks { footprint, height, colour }) = self.looks(&step.object) else { continue };
             let middle = footprint.centroid();
             let ([x, y], [to_x, to_y]) = (step.from.transform(middle), step.to.transform(middle));
             let length = (to_x - x).hypot(to_y - y);
@@ -218,21 +215,17 @@ impl Drawing {
         SceneUpdate { entities: vec![plan], deletions: Vec::new() }
     }
 
-    /// Shape, height and colour of an object of the catalogue.
-    fn looks(&self, id: &str) -> Option<(&Footprint, f64, Color)> {
+    /// How an object of the catalogue looks.
+    fn looks(&self, id: &str) -> Option<Looks<'_>> {
         let objects = &self.cell.as_ref()?.objects;
         let index = objects.iter().position(|object| object.id == id)?;
         let [r, g, b] = colour::rgb(index);
-        Some((&objects[index].footprint, objects[index].height, Color { r, g, b, a: 1.0 }))
+        let colour = Color { r, g, b, a: 1.0 };
+        Some(Looks { footprint: &objects[index].footprint, height: objects[index].height, colour })
     }
 
-    fn block(
-        &self,
-        now: Timestamp,
-        id: &str,
-        (footprint, height, colour): (&Footprint, f64, Color),
-        at: &Pose2,
-    ) -> SceneEntity {
+    fn block(&self, now: Timestamp, id: &str, looks: &Looks, at: &Pose2) -> SceneEntity {
+        let Looks { footprint, height, colour } = *looks;
         let (low, high) = (ring(footprint, at, 0.0), ring(footprint, at, height));
         let count = low.len();
         // Sides alone: the outline on top closes it for the eye, also where it is not convex.
@@ -251,6 +244,13 @@ impl Drawing {
         let (triangles, lines, texts) = (vec![sides], vec![rim], vec![label]);
         SceneEntity { triangles, lines, texts, ..entity(now, "table", &object_id(id)) }
     }
+}
+
+/// How an object looks: outline, height (m), colour.
+struct Looks<'a> {
+    footprint: &'a Footprint,
+    height: f64,
+    colour: Color,
 }
 
 /// Joint positions, rad, and speeds, rad/s.

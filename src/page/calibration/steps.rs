@@ -102,12 +102,18 @@ async fn beside(work: impl FnOnce() -> Result<Value, Refused> + Send + 'static) 
 }
 
 /// `GET /api/v1/calibration`
+///
+/// # Errors
+/// A fault of celld.
 pub async fn state(State(app): State<App>) -> Result<Response, Refused> {
     app.calibrates();
     Ok(Json(beside(move || Ok(view(&app))).await?).into_response())
 }
 
 /// Takes a step.
+///
+/// # Errors
+/// A body that is no step, or why the step cannot be taken now.
 pub async fn step(
     State(app): State<App>,
     Extension(person): Extension<Person>,
@@ -124,6 +130,9 @@ pub async fn step(
 }
 
 /// `GET /api/v1/calibration/pictures/{name}`
+///
+/// # Errors
+/// There is no such picture.
 pub async fn picture(State(app): State<App>, Path(name): Path<String>) -> Result<Response, Refused> {
     let found = tokio::task::spawn_blocking(move || app.calibration().jpeg(&name)).await;
     let jpeg: Option<Bytes> = found.map_err(|_| Refused::fault("this is a fault of celld; see its log"))?;

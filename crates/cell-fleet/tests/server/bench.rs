@@ -9,7 +9,7 @@ use cell_fleet::connect::{Access, Credentials};
 use cell_fleet::payloads::{CellState, Job, Outcome, What};
 use cell_fleet::run::run;
 use cell_fleet::server::Storage;
-use cell_fleet::side::{CellSide, Ordered, Settings};
+use cell_fleet::side::{CellEvent, CellSide, Ordered, Settings};
 use cell_fleet::store::Limits;
 use cell_fleet::subjects::{Asked, Fleet};
 use cell_fleet::values::Local;
@@ -171,10 +171,12 @@ impl CellSide for Side {
         CellState { armed: !disk.disarmed, idle, state: "idle".into(), ..CellState::default() }
     }
 
-    fn events(&mut self) -> Vec<(Option<String>, What, f64)> {
+    fn events(&mut self) -> Vec<CellEvent> {
         let told = std::mem::take(&mut self.disk.lock().unwrap().told);
         let unix_s = std::time::SystemTime::UNIX_EPOCH.elapsed().unwrap().as_secs_f64();
-        told.into_iter().map(|message| (None, What::Fault { code: "t".into(), message }, unix_s)).collect()
+        told.into_iter()
+            .map(|message| CellEvent { job: None, what: What::Fault { code: "t".into(), message }, unix_s })
+            .collect()
     }
 
     fn judge(&mut self, job: &Job) -> Result<(), String> {

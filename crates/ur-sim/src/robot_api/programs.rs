@@ -81,7 +81,7 @@ fn written(name: &str, source: &ProgramSource) -> Value {
 /// POST `/programs/v1`, which refuses a name that is there, and PUT, which replaces.
 pub fn upload(shared: &RobotShared, request: &Request<'_>, replaces: bool) -> Reply {
     let read = file_of(request.content_type, request.body).and_then(urpx_of);
-    let Some((name, script, urpx)) = read else {
+    let Some(Upload { name, script, urpx }) = read else {
         return Reply::refused(
             422,
             "Invalid .urpx file format",
@@ -123,8 +123,14 @@ fn refusal(controller: &Controller, name: &str, urpx: &Urpx, replaces: bool) -> 
     }
 }
 
-/// Name, script and file of an upload.
-fn urpx_of(bytes: &[u8]) -> Option<(String, String, Urpx)> {
+/// An uploaded program.
+struct Upload {
+    name: String,
+    script: String,
+    urpx: Urpx,
+}
+
+fn urpx_of(bytes: &[u8]) -> Option<Upload> {
     let file: Value = serde_json::from_slice(bytes).ok()?;
     let text = |pointer: &str| file.pointer(pointer).and_then(Value::as_str);
     let name = text("/program/programInformation/name")?;
@@ -141,5 +147,6 @@ fn urpx_of(bytes: &[u8]) -> Option<(String, String, Urpx)> {
         description: text("/program/programInformation/description").unwrap_or_default().to_owned(),
         dates: [date("createdDate"), date("lastModifiedDate"), date("lastSavedDate")],
     };
-    Some((name.to_owned(), format!("def {}():\n{common}\n{own}\nend\n", identifier(name)), urpx))
+    let script = format!("def {}():\n{common}\n{own}\nend\n", identifier(name));
+    Some(Upload { name: name.to_owned(), script, urpx })
 }
