@@ -13,7 +13,7 @@ use crate::config::setup::{Measured, cell_model, cell_objects, gripper_address, 
 use crate::daemon::cameras;
 use crate::daemon::film::Film;
 use crate::daemon::gripper_memory::GripperMemory;
-use crate::daemon::intake::Orders;
+use crate::daemon::intake::Sources;
 use crate::daemon::keeper::{Identities, StateKeeper};
 use crate::daemon::last_picture::LastPicture;
 use crate::daemon::reception::Reception;
@@ -283,7 +283,7 @@ fn known_cell(
 /// same.
 struct Opened {
     keeper: StateKeeper,
-    orders: Vec<Box<dyn Orders>>,
+    orders: Sources,
     feed: Feed,
     /// Where a page is served.
     film: Option<Film>,
@@ -328,7 +328,7 @@ fn opened(
         told(status);
     };
     let keeper = keeper.published(Box::new(publish), remarks);
-    let orders: Vec<Box<dyn Orders>> = vec![Box::new(in_folder.with_office(office)), Box::new(at_page)];
+    let orders = Sources::of(vec![Box::new(in_folder.with_office(office)), Box::new(at_page)]);
     Ok(Opened { keeper, orders, feed, film })
 }
 

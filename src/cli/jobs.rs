@@ -303,7 +303,7 @@ mod tests {
             let answer = std::thread::scope(|scope| {
                 let client = scope.spawn(|| send(&state, &Command::Arm));
                 let taken = loop {
-                    if let Some(taken) = inbox.take(boot_now_s()).unwrap().pop() {
+                    if let Some(taken) = inbox.take(boot_now_s).unwrap().pop() {
                         break taken;
                     }
                     std::thread::yield_now();

@@ -11,7 +11,8 @@ use cell_calibration::files::camera::CameraCalibration;
 use cell_calibration::files::hand_eye::{HandEyeCalibration, Provenance};
 use cell_calibration::files::set::{CalibrationSet, FileText};
 use cell_edge::clock::unix_now_s;
-use cell_edge::files::{self, FileError, create_folder, write_atomic};
+use cell_edge::files::{self, FileError, create_folder};
+use cell_edge::together::write_together;
 use cell_machine::event::Arm;
 use cell_parts::file::read_text;
 use cell_vision::camera::CameraModel;
@@ -32,7 +33,7 @@ pub fn read_calibration(config: &CellConfig) -> Result<CalibrationSet, String> {
 /// Writes all three files and returns their paths.
 ///
 /// # Errors
-/// The first that could not be written.
+/// One of them could not be written; all are as they were then.
 pub fn write_calibration<'a>(
     set: &CalibrationSet,
     files: &'a CalibrationFiles,
@@ -42,12 +43,8 @@ pub fn write_calibration<'a>(
         (&files.hand_eye, set.hand_eye.to_yaml()),
         (&files.table, set.table.to_yaml()),
     ];
-    for (path, text) in &written {
-        if let Some(folder) = path.parent() {
-            create_folder(folder)?;
-        }
-        write_atomic(path, text.as_bytes())?;
-    }
+    written.iter().filter_map(|(path, _)| path.parent()).try_for_each(create_folder)?;
+    write_together(&written.each_ref().map(|(path, text)| (*path, text.as_bytes())))?;
     Ok(written.map(|(path, _)| path))
 }
 

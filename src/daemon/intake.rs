@@ -73,28 +73,52 @@ impl Answers {
     }
 }
 
-/// When the last order was given that only stops, s since the machine started.
+/// When the last order was given that ends a person's leave to move, s since the machine started; of all
+/// sources.
 #[derive(Default)]
 pub struct Stops(Mutex<Option<f64>>);
 
 impl Stops {
-    /// Sends an order on, unless it may set the arm in motion and was given before a stop that was already
-    /// sent on; the order is decided and sent in one step, so that no stop comes between. `None`: it does
-    /// not count.
+    /// Notes those of these orders that end leave, before any of them is sent on.
+    pub fn note(&self, given: &[Given], now_s: f64) {
+        let ends = given.iter().filter(|given| given.order.ends_leave());
+        // `min` gives `now_s` for a time that is no number.
+        let last = ends.map(|given| given.boot_s.min(now_s)).fold(f64::MIN, f64::max);
+        let mut noted = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if last > noted.unwrap_or(f64::MIN) {
+            *noted = Some(last);
+        }
+    }
+
+    /// Sends an order on, unless it is one to do something that was given before one that ended leave; it is
+    /// decided and sent in one step, so that no stop comes between. `None`: it does not count.
     fn pass<T>(&self, given: &Given, now_s: f64, send: impl FnOnce() -> T) -> Option<T> {
-        let mut last = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if given.order.only_stops() {
-            // `min` gives `now_s` for a time that is no number.
-            *last = Some(last.map_or(f64::MIN, |last| last).max(given.boot_s.min(now_s)));
-        } else if given.order.needs_sight() && last.is_some_and(|last| given.boot_s < last) {
+        let last = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let older = last.is_some_and(|last| given.boot_s.min(now_s) < last);
+        if older && !given.order.only_takes_away() {
             return None;
         }
         Some(send())
     }
 }
 
+/// All sources, and the stops that they share from the start of celld on.
+pub struct Sources {
+    /// Each gets a thread of its own.
+    pub orders: Vec<Box<dyn Orders>>,
+    /// Of all of them.
+    pub stops: Arc<Stops>,
+}
+
+impl Sources {
+    /// With no stop so far.
+    pub fn of(orders: Vec<Box<dyn Orders>>) -> Sources {
+        Sources { orders, stops: Arc::default() }
+    }
+}
+
 /// Where the thread of a source sends its orders, and where their answers come from.
-pub struct Channels {
+pub struct OrderChannels {
     /// To the machine.
     pub events: mpsc::Sender<Message>,
     /// To the thread of the journal: a cancellation of a job by its id; false when it has ended.
@@ -105,7 +129,7 @@ pub struct Channels {
     pub stops: Arc<Stops>,
 }
 
-impl Channels {
+impl OrderChannels {
     /// Sends one on; what does not count is answered at once. False when the daemon is ending.
     fn send(&self, index: usize, orders: &mut dyn Orders, given: Given) -> bool {
         let number = (index as u64) << SOURCE_BITS | u64::from(given.number);
@@ -114,8 +138,8 @@ impl Channels {
             order => self.events.blocking_send(Message::Event(Event::Order(number, order.clone()))).is_ok(),
         });
         if sent.is_none() {
-            let why = "nothing was done: a stop was ordered after this order was given; look at the cell, then \
-                       give it again";
+            let why = "nothing was done: a stop or a release was ordered after this order was given; look at the \
+                       cell, then give it again";
             orders.reply(given.number, &Reply::refuse(why));
         }
         sent.unwrap_or(true)
@@ -127,13 +151,14 @@ pub fn take_orders(
     mut orders: Box<dyn Orders>,
     index: usize,
     clock: &Clock,
-    channels: &Channels,
+    channels: &OrderChannels,
     beat: &Beat,
     ending: &AtomicBool,
 ) {
     while !ending.load(Ordering::Relaxed) {
         beat.now();
         let mut taken = orders.take();
+        channels.stops.note(&taken, boot_now_s());
         // Of what comes together, what stops is decided last.
         taken.sort_by_key(|given| given.order.only_stops());
         for given in taken {
@@ -159,6 +184,7 @@ pub fn take_orders(
 mod tests {
     use super::*;
     use crate::daemon::watchdog::Beats;
+    use cell_machine::orders::WayBack;
     use std::sync::mpsc::SyncSender;
 
     /// Gives what comes through its channel; each look waits for it as one at a slow disk does.
@@ -196,7 +222,7 @@ mod tests {
         for (index, answers) in receivers.into_iter().enumerate() {
             let (to_source, taken) = channel();
             let (from_source, seen) = std::sync::mpsc::sync_channel(64);
-            let channels = Channels {
+            let channels = OrderChannels {
                 events: sender.clone(),
                 cancel: Box::new(|_, _| true),
                 answers,
@@ -251,7 +277,7 @@ mod tests {
         let orders = [(Order::Arm, 19.0), (Order::Reject("a".into()), 19.0), (Order::Park, 21.0)];
         two.give(0, &orders);
         let (number, reply) = two.answered[0].recv().unwrap();
-        assert!(number == 1 && !reply.accepted && reply.message.contains("stop was ordered"), "{reply:?}");
+        assert!(number == 1 && !reply.accepted && reply.message.contains("was ordered after"), "{reply:?}");
         assert_eq!(two.next(), (2, Order::Reject("a".into())));
         assert_eq!(two.next(), (3, Order::Park));
         two.end();
@@ -260,9 +286,15 @@ mod tests {
     #[test]
     fn of_what_comes_together_the_stop_is_decided_last() {
         let mut two = two();
-        two.give(0, &[(Order::Abort, 10.0), (Order::Arm, 10.0), (Order::Disarm, 9.0)]);
+        two.give(0, &[(Order::Abort, 10.0), (Order::Arm, 10.0), (Order::Park, 9.0), (Order::Disarm, 9.0)]);
         let order: Vec<Order> = (0..3).map(|_| two.next().1).collect();
         assert_eq!(order, [Order::Arm, Order::Abort, Order::Disarm]);
+        two.give(0, &[]);
+        let (number, reply) = two.answered[0].recv().unwrap();
+        assert!(
+            number == 3 && !reply.accepted,
+            "the way to the park pose is older than the abort: {reply:?}"
+        );
         two.end();
     }
 
@@ -270,14 +302,43 @@ mod tests {
     fn a_stop_from_the_future_or_from_no_time_keeps_no_later_order_away() {
         let stops = Stops::default();
         let given = |order, boot_s| Given { number: 1, order, boot_s };
+        let passes = |order, boot_s, now_s| stops.pass(&given(order, boot_s), now_s, || ()).is_some();
         for odd in [f64::INFINITY, f64::NAN, 1e9] {
-            assert_eq!(stops.pass(&given(Order::Abort, odd), 50.0, || ()), Some(()));
+            stops.note(&[given(Order::Abort, odd)], 50.0);
+            assert!(passes(Order::Abort, odd, 50.0));
         }
-        assert_eq!(stops.pass(&given(Order::Arm, 49.9), 50.0, || ()), None);
-        assert_eq!(stops.pass(&given(Order::Arm, 50.1), 50.2, || ()), Some(()));
+        assert!(!passes(Order::Arm, 49.9, 50.0));
+        assert!(passes(Order::Arm, 50.1, 50.2));
         // An earlier stop that comes late takes nothing back.
-        assert_eq!(stops.pass(&given(Order::Pause, 1.0), 51.0, || ()), Some(()));
-        assert_eq!(stops.pass(&given(Order::Step, 49.9), 51.0, || ()), None);
+        stops.note(&[given(Order::Pause, 1.0)], 51.0);
+        assert!(!passes(Order::Step, 49.9, 51.0));
+    }
+
+    #[test]
+    fn after_a_release_nothing_older_is_done_and_what_takes_away_counts_always() {
+        let given = |order, boot_s| Given { number: 1, order, boot_s };
+        for ending in [
+            Order::Release(cell_machine::orders::Channels::Both),
+            Order::Recover(WayBack::Release),
+            Order::Disarm,
+        ] {
+            let stops = Stops::default();
+            stops.note(&[given(ending, 50.0), given(Order::Park, 60.0)], 61.0);
+            let passes = |order| stops.pass(&given(order, 49.0), 61.0, || ()).is_some();
+            let id = || "a".to_string();
+            let agreed = Order::Approve { id: id(), plan: Some(1) };
+            for order in [
+                Order::Arm,
+                agreed,
+                Order::Release(cell_machine::orders::Channels::A),
+                Order::Recover(WayBack::Place),
+            ] {
+                assert!(!passes(order.clone()), "{order:?}");
+            }
+            for order in [Order::Abort, Order::Pause, Order::Reject(id()), Order::Cancel(id())] {
+                assert!(passes(order.clone()), "{order:?}");
+            }
+        }
     }
 
     #[test]

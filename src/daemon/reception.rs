@@ -4,7 +4,8 @@
 //! there is. Without it the page could not be opened while the robot is switched off, which is when people
 //! want to see what is missing.
 
-use crate::daemon::intake::Orders;
+use crate::daemon::intake::{Orders, Sources, Stops};
+use cell_edge::clock::boot_now_s;
 use cell_machine::orders::Reply;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,17 +18,18 @@ const EVERY: Duration = Duration::from_millis(50);
 /// See the module.
 pub struct Reception {
     over: Arc<AtomicBool>,
-    thread: JoinHandle<Vec<Box<dyn Orders>>>,
+    thread: JoinHandle<Sources>,
 }
 
 impl Reception {
     /// Takes orders in from now on: a source signs people in by itself, and every order is refused.
-    pub fn open(mut sources: Vec<Box<dyn Orders>>) -> Reception {
+    pub fn open(mut sources: Sources) -> Reception {
         let over = Arc::new(AtomicBool::new(false));
         let ended = over.clone();
         let thread = std::thread::spawn(move || {
             while !ended.load(Ordering::Relaxed) {
-                sources.iter_mut().for_each(|source| refuse(&mut **source));
+                let stops = &sources.stops;
+                sources.orders.iter_mut().for_each(|source| refuse(&mut **source, stops));
                 std::thread::park_timeout(EVERY);
             }
             sources
@@ -39,15 +41,18 @@ impl Reception {
     ///
     /// # Errors
     /// The thread has panicked.
-    pub fn close(self) -> Result<Vec<Box<dyn Orders>>, String> {
+    pub fn close(self) -> Result<Sources, String> {
         self.over.store(true, Ordering::Relaxed);
         self.thread.thread().unpark();
         self.thread.join().map_err(|_| "a defect of celld: the intake of orders has ended".to_string())
     }
 }
 
-fn refuse(source: &mut dyn Orders) {
-    for given in source.take() {
+/// A stop is noted all the same: an older order that comes to light after the start does not count.
+fn refuse(source: &mut dyn Orders, stops: &Stops) {
+    let taken = source.take();
+    stops.note(&taken, boot_now_s());
+    for given in taken {
         let why = "celld is starting and takes no orders yet; `celld doctor` says what is missing";
         source.reply(given.number, &Reply::refuse(why));
     }
@@ -81,10 +86,10 @@ mod tests {
     fn an_order_of_the_start_is_refused_and_the_source_is_given_back() {
         let (sender, answers) = channel();
         let arm = Given { number: 7, order: Order::Arm, boot_s: 100.0 };
-        let reception = Reception::open(vec![Box::new(One(Some(arm), sender))]);
+        let reception = Reception::open(Sources::of(vec![Box::new(One(Some(arm), sender))]));
         let (number, reply) = answers.recv().unwrap();
         assert!(number == 7 && !reply.accepted && reply.message.contains("starting"), "{reply:?}");
         let mut orders = reception.close().unwrap();
-        assert!(orders[0].take().is_empty());
+        assert!(orders.orders[0].take().is_empty());
     }
 }

@@ -9,7 +9,7 @@
 
 mod start;
 
-use crate::daemon::intake::Orders;
+use crate::daemon::intake::Sources;
 use crate::daemon::last_answers::LastAnswers;
 use crate::daemon::messages::{Displayed, Message};
 use crate::daemon::sockets::{Addresses, Sockets};
@@ -264,7 +264,7 @@ impl Shell {
     }
 
     /// From now on jobs and orders come from here, and what is done is written here.
-    pub fn keep_in(&mut self, keeper: Box<dyn Keeper>, sources: Vec<Box<dyn Orders>>) {
+    pub fn keep_in(&mut self, keeper: Box<dyn Keeper>, sources: Sources) {
         let (clock, events) = (self.clock.clone(), self.messages_in.clone());
         self.store = Some(Store::open(keeper, sources, clock, events, &self.beats));
     }

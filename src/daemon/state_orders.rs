@@ -91,7 +91,7 @@ impl Orders for StateOrders {
     }
 
     fn take(&mut self) -> Vec<Given> {
-        let taken = self.inbox.take(boot_now_s()).unwrap_or_else(|error| {
+        let taken = self.inbox.take(boot_now_s).unwrap_or_else(|error| {
             tracing::error!(%error, "command folder");
             Vec::new()
         });

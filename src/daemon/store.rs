@@ -6,7 +6,7 @@
 //! half a second on a busy disk; the robot stops when no message reaches it for a fraction of that, and a
 //! person who aborts does not wait for a disk.
 
-use crate::daemon::intake::{Answers, Channels, Orders, Stops, UNASKED, take_orders};
+use crate::daemon::intake::{Answers, OrderChannels, Sources, UNASKED, take_orders};
 use crate::daemon::messages::Message;
 use crate::daemon::watchdog::{Beat, Beats};
 use cell_edge::clock::Clock;
@@ -80,20 +80,21 @@ impl Store {
     /// Starts the threads; what happens comes through `events`.
     pub fn open(
         keeper: Box<dyn Keeper>,
-        sources: Vec<Box<dyn Orders>>,
+        sources: Sources,
         clock: Clock,
         events: mpsc::Sender<Message>,
         beats: &Beats,
     ) -> Store {
+        let Sources { orders: sources, stops } = sources;
         let (requests, asked) = channel();
         let (replies, answers) = Answers::of(sources.len());
-        let (ending, stops) = (Arc::new(AtomicBool::new(false)), Arc::new(Stops::default()));
+        let ending = Arc::new(AtomicBool::new(false));
         let mut threads = Vec::new();
         for (index, (orders, answers)) in sources.into_iter().zip(answers).enumerate() {
             let beat = Arc::new(beats.task(orders.task(), SILENT_AFTER));
             let (events, cancels, stops) = (events.clone(), requests.clone(), stops.clone());
             let cancel = move |number, id| cancels.send(Request::Cancel(number, id)).is_ok();
-            let channels = Channels { events, cancel: Box::new(cancel), answers, stops };
+            let channels = OrderChannels { events, cancel: Box::new(cancel), answers, stops };
             let (taking, clock, ending) = (beat.clone(), clock.clone(), ending.clone());
             let take = move || take_orders(orders, index, &clock, &channels, &taking, &ending);
             threads.push((beat, std::thread::spawn(take)));
@@ -230,7 +231,7 @@ impl Keeping {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::intake::Given;
+    use crate::daemon::intake::{Given, Orders};
     use std::sync::Mutex;
 
     /// Writes into a list; its first record waits for a sign, and `taken` shows that it does.
@@ -293,7 +294,7 @@ mod tests {
     }
 
     fn open(keeper: impl Keeper, sources: Vec<Box<dyn Orders>>, events: mpsc::Sender<Message>) -> Store {
-        Store::open(Box::new(keeper), sources, Clock::new(1.0), events, &Beats::default())
+        Store::open(Box::new(keeper), Sources::of(sources), Clock::new(1.0), events, &Beats::default())
     }
 
     fn runtime() -> tokio::runtime::Runtime {

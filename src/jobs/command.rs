@@ -7,7 +7,7 @@
 //! stops is obeyed however old. The daemon removes the file before it obeys: a command is carried out at
 //! most once.
 
-use cell_edge::files::{FileError, create_folder, read_regular, remove, write_new, write_secret};
+use cell_edge::files::{FileError, create_folder, read_regular, remove, take_away, write_new, write_secret};
 use cell_machine::orders::{Channels, Order, Reply, Role, WayBack};
 use serde::{Deserialize, Serialize};
 use std::os::unix::fs::MetadataExt;
@@ -208,27 +208,33 @@ impl Inbox {
         Ok(Inbox { folder: folder.to_owned(), daemon: daemon.into() })
     }
 
-    /// Takes what is there at `boot_s`, s since the machine started, in the order of sending. Files that are
-    /// no command for this daemon are removed, and so are orders that do not count any more. Whatever
-    /// happens to one file, the commands taken before it are returned: an abort must not be lost to a full
-    /// disk.
+    /// Takes what is there, in the order of sending; `boot_now_s` gives the s since the machine started.
+    /// Files that are no command for this daemon are removed, and so are orders that do not count any more.
+    /// Their age counts when they were removed, which a slow disk may delay; what its sender has taken back
+    /// meanwhile is not obeyed. Whatever happens to one file, the commands taken before it are returned: an
+    /// abort must not be lost to a full disk.
     ///
     /// # Errors
     /// The folder cannot be listed. A single file that makes trouble is logged and is no error.
-    pub fn take(&mut self, boot_s: f64) -> Result<Vec<Taken>, FileError> {
+    pub fn take(&mut self, boot_now_s: impl Fn() -> f64) -> Result<Vec<Taken>, FileError> {
         let mut taken = Vec::new();
         for path in list(&self.folder)?.into_iter().filter(|path| is_command(path)).take(MAX_AT_ONCE) {
             let uid = std::fs::symlink_metadata(&path).ok().map(|file| file.uid());
             let envelope = read_regular(&path, MAX_BYTES)
                 .ok()
                 .and_then(|(text, _)| serde_json::from_str::<Envelope>(&text).ok());
-            if let Err(error) = remove(&path) {
-                tracing::warn!(%error, "a command could not be taken");
-                break;
+            match take_away(&path) {
+                Ok(true) => {}
+                // Its sender has taken it back.
+                Ok(false) => continue,
+                Err(error) => {
+                    tracing::warn!(%error, "a command could not be taken");
+                    break;
+                }
             }
             let reply = path.with_extension("reply");
             let refused = match envelope {
-                Some(envelope) if envelope.daemon == self.daemon => match envelope.outdated(boot_s) {
+                Some(envelope) if envelope.daemon == self.daemon => match envelope.outdated(boot_now_s()) {
                     Some(why) => {
                         tracing::warn!(command = ?envelope.command, "refused: {why}");
                         why
@@ -355,9 +361,9 @@ mod tests {
         let first = Sent::send(folder.path(), "d1", &Command::Arm, given(10.0)).unwrap();
         Sent::send(folder.path(), "d1", &approve, given(10.0)).unwrap();
         assert_eq!(first.poll().unwrap(), None);
-        let taken = inbox.take(100.0).unwrap();
+        let taken = inbox.take(|| 100.0).unwrap();
         assert_eq!(taken.iter().map(|taken| &taken.command).collect::<Vec<_>>(), [&Command::Arm, &approve]);
-        assert!(inbox.take(100.0).unwrap().is_empty());
+        assert!(inbox.take(|| 100.0).unwrap().is_empty());
         let reply = Reply { accepted: false, message: "the robot is in local mode".into() };
         inbox.reply(&taken[0], &reply).unwrap();
         // The asker is the daemon's own user here: an answer may be a secret.
@@ -372,9 +378,9 @@ mod tests {
         let folder = folder();
         let late = Sent::send(folder.path(), "d1", &Command::Arm, given(10.0)).unwrap();
         let mut inbox = Inbox::open(folder.path(), "d2").unwrap();
-        assert!(inbox.take(100.0).unwrap().is_empty(), "cleared at start");
+        assert!(inbox.take(|| 100.0).unwrap().is_empty(), "cleared at start");
         let later = Sent::send(folder.path(), "d1", &Command::Arm, given(11.0)).unwrap();
-        assert!(inbox.take(100.0).unwrap().is_empty(), "meant for the daemon before");
+        assert!(inbox.take(|| 100.0).unwrap().is_empty(), "meant for the daemon before");
         assert!(!later.poll().unwrap().unwrap().accepted);
         assert!(!late.withdraw().unwrap());
     }
@@ -405,7 +411,7 @@ mod tests {
                 let folder = folder();
                 let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
                 let sent = Sent::send(folder.path(), "d1", &command, given(10.0)).unwrap();
-                let taken = inbox.take(boot_s).unwrap();
+                let taken = inbox.take(|| boot_s).unwrap();
                 assert_eq!(taken.len(), usize::from(counts), "{command:?} at {boot_s}");
                 let refused = sent.poll().unwrap();
                 assert_eq!(refused.is_some(), !counts, "{command:?} at {boot_s}");
@@ -427,7 +433,7 @@ mod tests {
             std::fs::write(folder.path().join(name), text).unwrap();
         }
         std::os::unix::fs::symlink("/dev/zero", folder.path().join("4.command")).unwrap();
-        (0..2).for_each(|_| assert!(inbox.take(100.0).unwrap().is_empty()));
+        (0..2).for_each(|_| assert!(inbox.take(|| 100.0).unwrap().is_empty()));
         assert!(!list(folder.path()).unwrap().iter().any(|path| is_command(path)));
     }
 
@@ -437,6 +443,6 @@ mod tests {
         let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
         let sent = Sent::send(folder.path(), "d1", &Command::Park, given(10.0)).unwrap();
         assert!(sent.withdraw().unwrap());
-        assert!(inbox.take(100.0).unwrap().is_empty());
+        assert!(inbox.take(|| 100.0).unwrap().is_empty());
     }
 }

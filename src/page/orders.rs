@@ -111,6 +111,16 @@ impl Orders for PageOrders {
     }
 }
 
+impl Drop for PageOrders {
+    /// What is with the machine may still be carried out, or was.
+    fn drop(&mut self) {
+        for (_, given) in self.unanswered.drain(..) {
+            let why = "celld ends; it is not known whether the order was carried out, see the status";
+            let _ = given.answer.send(Reply::refuse(why));
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -165,6 +175,8 @@ mod tests {
         let reply = answers.remove(0).await.unwrap();
         assert!(!reply.accepted && reply.message.contains("nothing was done"), "{reply:?}");
         drop(orders);
+        let open = answers.remove(0).await.unwrap();
+        assert!(!open.accepted && open.message.contains("not known"), "{open:?}");
         let ended = desk.order(Order::Abort, "anna".into()).await;
         assert!(!ended.accepted && ended.message.contains("ending"), "{ended:?}");
     }

@@ -229,3 +229,85 @@ fn may_order(app: &Shared, order: &Order, ordered: &Ordered, giver: &Giver) -> R
     let taken = app.control().take(&person.session, &person.grant.name, false, Instant::now());
     taken.map_err(|held| (StatusCode::CONFLICT, held.to_string()))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::load::load_cell;
+    use crate::daemon::film::Film;
+    use crate::daemon::gripper_memory::GripperMemory;
+    use crate::jobs::state::StateFolder;
+    use crate::page::access::Grant;
+    use crate::page::feed::Feed;
+    use crate::page::orders::desk;
+    use crate::page::shared::Setup;
+    use crate::page::texts::Texts;
+    use cell_machine::orders::{Channels, Role, WayBack};
+    use std::path::Path;
+
+    /// A page that no loop feeds: of an old state.
+    fn page(control_from: &str) -> (tempfile::TempDir, Shared) {
+        let cell = load_cell(&Path::new(env!("CARGO_MANIFEST_DIR")).join("config/cell.yaml")).unwrap();
+        let mut config = cell.page.clone().expect("the example has a page");
+        config.control_from = vec![control_from.parse().unwrap()];
+        let folder = tempfile::tempdir().unwrap();
+        let state = StateFolder::new(folder.path());
+        let (desk, _) = desk(GripperMemory::new(&state, String::new()));
+        let (film, pictures) = Film::new();
+        let setup = Setup {
+            page: &config,
+            cell: &cell,
+            config_name: String::new(),
+            state,
+            feed: Feed::default(),
+            desk,
+            film,
+            pictures,
+            texts: Texts::read(&[]).unwrap(),
+        };
+        let (shared, _) = Shared::new(config.clone(), setup, json!({}));
+        (folder, shared)
+    }
+
+    /// Whatever role, token and state of the page: where the cell is not seen, no order sets the arm in
+    /// motion or lets something fall, and a stop stops.
+    #[test]
+    fn from_a_computer_that_does_not_see_the_cell_only_stops_and_plans_are_ordered() {
+        let (_folder, app) = page("192.0.2.7");
+        let grant = Grant { name: "anna".into(), role: Role::Engineer, until_unix_s: f64::MAX };
+        let person = Person { grant, session: "1".into() };
+        let id = || "a".to_string();
+        let orders = [
+            (Order::Arm, true),
+            (Order::Resume, true),
+            (Order::Step, true),
+            (Order::Park, true),
+            (Order::Release(Channels::Both), true),
+            (Order::Recover(WayBack::Release), true),
+            (Order::ConfirmGripper, true),
+            (Order::Calibrate, true),
+            (Order::Approve { id: id(), plan: Some(1) }, false),
+            (Order::Reject(id()), false),
+            (Order::Cancel(id()), false),
+            (Order::Disarm, false),
+            (Order::Pause, false),
+            (Order::Abort, false),
+        ];
+        for (order, moves) in orders {
+            for (from, sees) in [("192.0.2.9", false), ("192.0.2.7", true), ("127.0.0.1", true)] {
+                for (via, beat) in [(Via::Browser, Some(0)), (Via::Browser, None), (Via::Token, None)] {
+                    let ordered = Ordered { command: Command::Abort, beat };
+                    let giver = Giver { person: &person, via, peer: from.parse().unwrap() };
+                    let status = may_order(&app, &order, &ordered, &giver).map_err(|(status, _)| status);
+                    let expected = match (order.only_stops(), moves && !sees, via) {
+                        (true, ..) | (_, false, Via::Token) => Ok(()),
+                        (false, true, _) => Err(StatusCode::FORBIDDEN),
+                        // The state that the browser shows is old.
+                        (false, false, Via::Browser) => Err(StatusCode::CONFLICT),
+                    };
+                    assert_eq!(status, expected, "{order:?} from {from} via {via:?}");
+                }
+            }
+        }
+    }
+}

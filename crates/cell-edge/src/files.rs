@@ -277,7 +277,7 @@ pub fn write_new(
 
 /// A hidden file beside `path` with `bytes` in it, removed when it is dropped. Its name cannot be foreseen
 /// and it is created exclusively: who may write in the same folder cannot lay a link in its way.
-fn draft(path: &Path, bytes: &[u8]) -> Result<NamedTempFile, FileError> {
+pub(crate) fn draft(path: &Path, bytes: &[u8]) -> Result<NamedTempFile, FileError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let mut draft = tempfile::Builder::new()
         .prefix(&format!(".{name}."))
@@ -290,7 +290,7 @@ fn draft(path: &Path, bytes: &[u8]) -> Result<NamedTempFile, FileError> {
 }
 
 /// Puts a draft in the place of `path`; nothing is left of one that cannot be.
-fn replace(path: &Path, draft: NamedTempFile) -> Result<(), FileError> {
+pub(crate) fn replace(path: &Path, draft: NamedTempFile) -> Result<(), FileError> {
     draft.persist(path).map(drop).map_err(|e| FileError::io("rename to", path, e.error))
 }
 
@@ -326,6 +326,18 @@ pub fn rename_new(from: &Path, to: &Path) -> Result<(), FileError> {
         sync_folder(parent(from))?;
     }
     Ok(())
+}
+
+/// Removes a file durably; false where it was gone: whoever removed it has it.
+///
+/// # Errors
+/// The system refuses to remove it, or to sync its folder ([`FileError::Io`]).
+pub fn take_away(path: &Path) -> Result<bool, FileError> {
+    match std::fs::remove_file(path) {
+        Ok(()) => sync_folder(parent(path)).map(|()| true),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
+        Err(error) => Err(FileError::io("remove", path, error)),
+    }
 }
 
 /// Removes a file durably; a file that is not there is fine.
@@ -384,7 +396,7 @@ pub fn free_bytes(path: &Path) -> Result<u64, FileError> {
     Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
 }
 
-fn parent(path: &Path) -> &Path {
+pub(crate) fn parent(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),

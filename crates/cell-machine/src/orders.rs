@@ -67,6 +67,17 @@ impl Order {
         }
     }
 
+    /// After it the cell is not armed, or stays where it is until a person says more: an older order to do
+    /// something does not count after it.
+    pub fn ends_leave(&self) -> bool {
+        self.only_stops() || matches!(self, Order::Release(_) | Order::Recover(WayBack::Release))
+    }
+
+    /// It does nothing but take something away from what is to be done.
+    pub fn only_takes_away(&self) -> bool {
+        self.only_stops() || matches!(self, Order::Reject(_) | Order::Cancel(_))
+    }
+
     /// It may set the arm in motion or let something fall: for people who see the cell.
     pub fn needs_sight(&self) -> bool {
         match self {

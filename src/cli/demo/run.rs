@@ -7,6 +7,7 @@ use crate::cli::demo::watch::Watch;
 use crate::config::cell::{CameraDevice, CellConfig, Devices, RecordedPictures};
 use crate::config::setup::{Measured, cell_model, drawn, machine_parameters, nominal_model, scene};
 use crate::daemon::cameras::open_camera;
+use crate::daemon::intake::Sources;
 use crate::daemon::recorder::Recorder;
 use crate::daemon::shell::Shell;
 use crate::daemon::sockets::Addresses;
@@ -121,7 +122,7 @@ async fn with_sim(
     // Nothing real moves: the cell arms itself.
     shell.commission(model, true);
     let job = OneJob { order: Some(order(instance, choice)), over: stop.clone() };
-    shell.keep_in(Box::new(job), Vec::new());
+    shell.keep_in(Box::new(job), Sources::of(Vec::new()));
     let recorder =
         Recorder::create(&out.join("run.mcap"), RecordedPictures::Jpeg, Some(measured.camera.clone()));
     let mut watch = Watch::new(recorder);

@@ -12,16 +12,20 @@ use cell_edge::files::{FileError, create_folder, write_atomic};
 use rearrange::document::chain::chain;
 use std::path::Path;
 
+/// Where files are put aside, and under which time.
+pub struct Kept<'a> {
+    /// The state folder.
+    pub state: &'a Path,
+    /// Now, as part of a name.
+    pub when: &'a str,
+}
+
 /// Writes the files; what was done, in a sentence.
 ///
 /// # Errors
 /// Nothing could be written.
-pub fn keep(
-    set: &CalibrationSet,
-    files: &CalibrationFiles,
-    state: &Path,
-    when: &str,
-) -> Result<String, String> {
+pub fn keep(set: &CalibrationSet, files: &CalibrationFiles, to: &Kept) -> Result<String, String> {
+    let Kept { state, when } = *to;
     let folder = state.join("calibration");
     let before = folder.join(format!("before-{when}"));
     put_aside(files, &before).map_err(|error| {
@@ -86,15 +90,17 @@ mod tests {
         };
         std::fs::create_dir(folder.path().join("own")).unwrap();
         std::fs::write(&files.table, "the one before").unwrap();
-        let said = keep(&set, &files, folder.path(), "1").unwrap();
+        let said = keep(&set, &files, &Kept { state: folder.path(), when: "1" }).unwrap();
         assert!(said.contains("next start"), "{said}");
         assert_eq!(std::fs::read_to_string(&files.camera).unwrap(), set.camera.to_yaml());
         let aside = folder.path().join("calibration/before-1/table.yaml");
         assert_eq!(std::fs::read_to_string(aside).unwrap(), "the one before");
         // A file in the place of the folder: nothing can be written there, whoever runs this.
-        let closed = CalibrationFiles { camera: own("table.yaml/camera.yaml"), ..files };
-        let said = keep(&set, &closed, folder.path(), "2").unwrap();
+        std::fs::write(&files.camera, "in use").unwrap();
+        let closed = CalibrationFiles { table: own("camera.yaml/table.yaml"), ..files };
+        let said = keep(&set, &closed, &Kept { state: folder.path(), when: "2" }).unwrap();
         assert!(said.contains("put all three in their place"), "{said}");
+        assert_eq!(std::fs::read_to_string(&closed.camera).unwrap(), "in use", "all or none");
         let new = folder.path().join("calibration/new-2/hand_eye.yaml");
         assert_eq!(std::fs::read_to_string(new).unwrap(), set.hand_eye.to_yaml());
     }
