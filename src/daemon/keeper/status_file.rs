@@ -7,7 +7,7 @@ use super::StateKeeper;
 use crate::config::setup::gripper_address;
 use crate::jobs::status;
 use cell_edge::clock::unix_now_s;
-use cell_machine::supervisor::status::{Device, DeviceNote, Status};
+use cell_machine::supervisor::status::{Device, DeviceNote, Doing, Status};
 
 impl StateKeeper {
     /// Writes the status; a disk that does not take it is logged.
@@ -36,8 +36,7 @@ impl StateKeeper {
             pid: std::process::id(),
             started_unix_s: self.started_unix_s,
             written_unix_s: unix_now_s(),
-            state: if status.job.is_some() || status.doing.is_under_way() { "working" } else { "idle" }
-                .to_string(),
+            state: if is_working(status) { "working" } else { "idle" }.to_string(),
             blocked: disk.clone(),
             message,
             armed: status.armed,
@@ -80,4 +79,10 @@ impl StateKeeper {
         let (name, message) = (device.as_str().to_string(), message.clone());
         status::DeviceStatus { name, address, identity, ready: *ready, age_s, message }
     }
+}
+
+/// A job is active, or the arm is on the way without one, or will be as soon as a gate opens.
+fn is_working(status: &Status) -> bool {
+    let will_be = status.armed && matches!(status.doing, Doing::Waiting(_));
+    status.job.is_some() || status.doing.is_under_way() || will_be
 }

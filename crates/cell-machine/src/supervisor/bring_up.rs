@@ -104,10 +104,13 @@ impl Supervisor {
             // No person shall be surprised by a cell that comes to life when its device does.
             self.mode.disarm();
             alarm(out, format!("disarmed: {message} for {} s", NOT_READY_LIMIT.as_secs()));
-            let seconds = NOT_READY_LIMIT.as_secs();
+            let (seconds, waits) = (NOT_READY_LIMIT.as_secs(), self.job_waits_for_a_round());
             self.end_round(Err(RoundFault::NotReady { what: message.clone(), seconds }), out);
             if self.back.recovery.is_some() {
                 return self.end_recovery(Err(format!("{message} for {seconds} s")), out);
+            }
+            if waits {
+                return;
             }
             let hint = match hint.contains("celld arm") {
                 true => format!("{hint} and submit again"),

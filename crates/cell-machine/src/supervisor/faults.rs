@@ -219,10 +219,12 @@ impl Supervisor {
         }
         self.mode.disarm();
         self.phase = Phase::Ready;
-        let reason = self.with_a_hint(reason);
+        let (reason, waits) = (self.with_a_hint(reason), self.job_waits_for_a_round());
         alarm(out, format!("disarmed: {}; {}", reason.message, reason.hint));
         self.end_what_moves(now, &reason, out);
-        self.finish(now, JobStatus::Interrupted, reason, out);
+        if !waits {
+            self.finish(now, JobStatus::Interrupted, reason, out);
+        }
     }
 
     pub(crate) fn on_abort(&mut self, now: Timestamp, out: &mut Vec<Action>) {
@@ -305,11 +307,30 @@ impl Supervisor {
         reason: Reason,
         out: &mut Vec<Action>,
     ) {
-        if self.round.is_some() && self.job.is_some() {
-            self.stop_and_keep_the_job(now, reason, out);
-        } else {
-            self.stop_all(now, end, reason, out);
+        let reason = self.stop_without_the_job(now, reason, out);
+        if let Some(reason) = reason {
+            self.finish(now, end, reason, out);
         }
+    }
+
+    /// Stops the arm, disarms, ends what moves; the reason with its hint, unless the job goes on waiting.
+    fn stop_without_the_job(
+        &mut self,
+        now: Timestamp,
+        reason: Reason,
+        out: &mut Vec<Action>,
+    ) -> Option<Reason> {
+        let waits = self.job_waits_for_a_round();
+        self.stop_and_disarm(out);
+        let reason = self.with_a_hint(reason);
+        alarm(out, format!("{STOP_ORDERED}: {}; {}", reason.message, reason.hint));
+        self.end_what_moves(now, &reason, out);
+        (!waits).then_some(reason)
+    }
+
+    /// A job came during a calibration round: it has not begun.
+    pub(crate) fn job_waits_for_a_round(&self) -> bool {
+        self.round.is_some() && self.job.is_some()
     }
 
     /// The job may go on after an object that was lost or a heartbeat that was missed.

@@ -294,6 +294,10 @@ impl Supervisor {
             Phase::Ready if self.back.recovery.is_some() => Doing::Recovering("about to go on".into()),
             Phase::Ready => match (&self.job, &self.waiting_for) {
                 (None, _) if !self.ledger.is_clear() => Doing::Writing,
+                // A round or the way to the park pose was ordered, and begins as soon as the gate is open.
+                (None, Some(reason)) if self.round.is_some() || self.mode.parks() => {
+                    Doing::Waiting(reason.clone())
+                }
                 (None, _) => self.locked().map_or(Doing::Idle, Doing::Waiting),
                 (Some(_), Some(reason)) => Doing::Waiting(reason.clone()),
                 (Some(_), None) if self.mode.paused() => Doing::Paused,

@@ -32,6 +32,7 @@ impl Supervisor {
     pub(crate) fn then(&self) -> &'static str {
         match (self.may_be_held(), self.job.is_some()) {
             (true, _) => "something may be held: `celld recover` shows the ways back",
+            (false, true) if self.job_waits_for_a_round() => "the job waits: `celld arm` has it begin",
             (false, true) => "then `celld arm` and submit again",
             (false, false) => "then `celld arm`",
         }

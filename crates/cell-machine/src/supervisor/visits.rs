@@ -92,8 +92,12 @@ impl Supervisor {
     /// That a round begins, and what the arm does.
     pub(crate) fn calibrating(&self) -> String {
         let poses = self.round.as_ref().map_or(0, |round| round.order.poses.len());
+        let when = match &self.waiting_for {
+            Some(closed) => format!("as soon as it may move ({closed}) "),
+            None => String::new(),
+        };
         format!(
-            "the arm goes slowly to {poses} poses and takes a picture at each; then the cell is disarmed; \
+            "{when}the arm goes slowly to {poses} poses and takes a picture at each; then the cell is disarmed; \
              `celld abort` stops it now"
         )
     }

@@ -3,7 +3,9 @@
 use super::faults::working;
 use super::standing::moving_arm;
 use super::*;
+use crate::supervisor::gates::GateClosed;
 use crate::supervisor::round::RoundFault;
+use crate::supervisor::status::Doing;
 
 #[test]
 fn a_calibration_round_ends_with_its_cell_disarmed_and_takes_no_pace() {
@@ -44,7 +46,11 @@ fn a_calibration_round_keeps_off_what_may_lie_on_the_table() {
 fn a_job_that_comes_during_a_round_waits_when_the_round_is_stopped() {
     let target = Joints([-1.5, -1.6, 1.9, -1.9, -1.57, 0.0]);
     type End = fn(&mut Bench) -> Vec<Action>;
-    let ends: [(&str, End); 2] = [
+    let ends: [(&str, End); 3] = [
+        ("local control", |bench| {
+            bench.robot.remote_control = Some(false);
+            bench.ticks(3)
+        }),
         ("a disarming", |bench| bench.feed(order(Order::Disarm))),
         ("an arm guided by hand", |bench| {
             bench.robot.guided = true;
@@ -59,8 +65,41 @@ fn a_job_that_comes_during_a_round_waits_when_the_round_is_stopped() {
         let ended = end(&mut bench);
         assert!(ended.iter().any(|action| matches!(action, Action::RoundOver(Err(_)))), "{what}: {ended:?}");
         assert!(!bench.cell.mode().armed() && bench.cell.round.is_none(), "{what}");
-        assert!(bench.cell.job.as_ref().is_some_and(|job| job.order.id == "j"), "{what}: the job waits");
+        assert!(bench.cell.job.as_ref().is_some_and(|job| job.order.id == "j" && job.stops == 0), "{what}");
+        let said = format!("{ended:?}");
+        assert!(!said.contains("submit again") && !said.contains("; ;"), "{what}: {said}");
     }
+}
+
+#[test]
+fn a_job_waits_also_when_the_round_never_got_under_way() {
+    let target = Joints([-1.5, -1.6, 1.9, -1.9, -1.57, 0.0]);
+    let mut bench = Bench::new();
+    bench.feed(Input::Round(Box::new(RoundOrder { poses: vec![target], room: None })));
+    bench.robot.remote_control = Some(false);
+    bench.ticks(3);
+    bench.job(false);
+    let mut turns = 0;
+    while bench.cell.round.is_some() && turns < 20_000 {
+        bench.ticks(1);
+        turns += 1;
+    }
+    assert!(bench.cell.round.is_none() && !bench.cell.mode().armed(), "{turns} turns");
+    assert!(bench.cell.job.is_some(), "after {turns} turns");
+}
+
+/// The arm sets out as soon as the gate opens, without another order.
+#[test]
+fn what_waits_for_a_gate_is_no_idleness() {
+    let mut bench = Bench::new();
+    bench.feed(order(Order::Arm));
+    bench.ticks(20);
+    assert_eq!(bench.cell.status().doing, Doing::Idle);
+    bench.cell.waiting_for = Some(GateClosed::Paused);
+    assert_eq!(bench.cell.status().doing, Doing::Idle, "nothing was ordered");
+    bench.cell.mode.set_park(true);
+    let status = bench.cell.status();
+    assert!(status.armed && status.doing == Doing::Waiting(GateClosed::Paused), "{:?}", status.doing);
 }
 
 /// What a person orders at the page has the gates of any motion, and arms nothing.
