@@ -27,7 +27,7 @@ use tokio::sync::watch;
 const VIEWERS: usize = 30;
 
 /// How often it is asked whether a viewer is still signed in.
-const SIGNED_IN_EVERY: Duration = Duration::from_secs(1);
+const SIGNED_IN_EVERY: Duration = Duration::from_millis(200);
 
 /// Encodes what arrives, and looks at it for who calibrates, on a thread of its own; ends with the camera's
 /// thread and the loop.

@@ -101,6 +101,7 @@ fn schemas() -> Value {
             "size_mm": number, "gap_mm": number, "first_id": { "type": "integer" }, "on": flag,
             "drop": { "type": "array", "description": "names of pictures, or numbers of samples" },
             "points": list(&text), "tip_mm": list(&number), "table_only": flag, "tie": flag,
+            "number": { "type": "integer", "description": "with `keep`: the `solved.number` that was looked at" },
         }),
         &["do"],
     );

@@ -103,6 +103,7 @@ impl Shared {
     /// With the grants of an earlier daemon; `config.listen` is where the page is listened at.
     pub fn new(config: PageConfig, setup: Setup, document: Value) -> (Shared, Receiver<Shown>) {
         let text = read_regular(&access_file(&setup.state), ACCESS_BYTES_MAX).map(|(text, _)| text);
+        let begun_unix_ms = (unix_now_s() * 1e3) as u64;
         let shared = Shared {
             config,
             cell: setup.cell.clone(),
@@ -113,7 +114,7 @@ impl Shared {
             film: setup.film,
             screen: Screen::default(),
             begun: Instant::now(),
-            begun_unix_ms: (unix_now_s() * 1e3) as u64,
+            begun_unix_ms,
             texts: setup.texts,
             planning: Arc::new(Semaphore::new(1)),
             orders: Default::default(),
@@ -122,7 +123,7 @@ impl Shared {
             writing: Mutex::default(),
             control: Mutex::default(),
             limits: Mutex::default(),
-            calibration: Mutex::default(),
+            calibration: Mutex::new(Bench::numbered_from(begun_unix_ms)),
             calibrated_at: AtomicU64::new(0),
         };
         (shared, setup.pictures)

@@ -403,12 +403,12 @@ fn cell_page_calibrates_step_by_step_and_moves_only_when_ordered() {
     let [operate, engineer] = [Role::Operate, Role::Engineer].map(|role| cell.token(role));
     let step = |body: Value| cell.post("/api/v1/calibration", &engineer, &body);
     let bench = || cell.get("/api/v1/calibration", &operate).json();
-    assert_eq!(cell.post("/api/v1/calibration", &operate, &json!({ "do": "keep" })).status, 403);
+    assert_eq!(cell.post("/api/v1/calibration", &operate, &json!({ "do": "keep", "number": 1 })).status, 403);
     let by_operator = cell.post("/api/v1/orders", &operate, &json!({ "command": { "do": "calibrate" } }));
     assert_eq!(by_operator.status, 403, "{}", by_operator.body);
     wait_until("the robot is known", || bench()["cell"]["lens"].is_object());
     // Nothing of it is there yet, and nothing is made up.
-    assert_eq!(step(json!({ "do": "keep" })).status, 409);
+    assert_eq!(step(json!({ "do": "keep", "number": 0 })).status, 409);
     assert_eq!(step(json!({ "do": "picture" })).status, 409, "there is no film");
     let solved = step(json!({ "do": "solve" })).json();
     assert!(solved["fault"].as_str().is_some_and(|why| why.contains("no round")), "{}", solved["fault"]);
@@ -445,7 +445,14 @@ fn cell_page_calibrates_step_by_step_and_moves_only_when_ordered() {
     assert!(solved["solved"]["marks"][0].as_array().is_some_and(|marks| !marks.is_empty()));
     let file = cell.path().join("calibration/sim/table.yaml");
     let before = std::fs::read_to_string(&file).expect("the table's file");
-    let kept = step(json!({ "do": "keep" })).json();
+    let of = |solved: &Value| solved["solved"]["number"].clone();
+    let looked_at = of(&solved);
+    let again = step(json!({ "do": "solve" })).json();
+    assert_ne!(of(&again), looked_at);
+    let other = step(json!({ "do": "keep", "number": looked_at }));
+    assert!(other.status == 409 && other.body.contains("another calibration"), "{}", other.body);
+    assert_eq!(std::fs::read_to_string(&file).expect("the table's file"), before);
+    let kept = step(json!({ "do": "keep", "number": of(&again) })).json();
     assert!(kept["kept"].as_str().is_some_and(|said| said.contains("next start")), "{}", kept["kept"]);
     assert_ne!(std::fs::read_to_string(&file).expect("the table's file"), before);
     let aside = walk(&cell.path().join("state/calibration"), "table.yaml");

@@ -116,7 +116,7 @@ export function calibratePage(main) {
         h("button", { type: "button", id: `show-${sample.pose}`, "aria-pressed": String(sample.pose === options.shown), click: () => { options.shown = sample.pose; drawn.result = ""; show(known); } }, sample.pose),
         sample.markers, number(sample.px, 3), number(sample.mm, 2) + (sample.rejected ? ` (${t("left out")})` : ""),
         h("label", { for: `drop-${sample.pose}`, class: "tick" }, h("input", { type: "checkbox", id: `drop-${sample.pose}`, "aria-label": `${t("leave out")} ${sample.pose}`, checked: options.dropped.has(sample.pose), change: (event) => { if (event.target.checked) options.dropped.add(sample.pose); else options.dropped.delete(sample.pose); } }))]))))),
-      h("div", { class: "row" }, hold(t("Keep (hold)"), () => take({ do: "keep" }), { id: "keep", disabled: !engineer || Boolean(kept) }), h("span", { class: "soft" }, t("Held-out samples under 0.5 mm are good. What is kept counts from celld's next start.")))],
+      h("div", { class: "row" }, hold(t("Keep (hold)"), () => take({ do: "keep", number: solved.number }), { id: "keep", disabled: !engineer || Boolean(kept) }), h("span", { class: "soft" }, t("Held-out samples under 0.5 mm are good. What is kept counts from celld's next start.")))],
     kept && h("p", { class: "note", id: "kept" }, kept),
   ];
 

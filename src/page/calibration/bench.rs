@@ -4,7 +4,7 @@
 //! closed; all of it ends with celld, but for what was kept.
 
 use crate::config::cell::CellConfig;
-use crate::page::calibration::kept::keep;
+use crate::page::calibration::kept::{Kept, keep};
 use crate::page::calibration::lens::LensWork;
 use crate::page::calibration::round::{Asked, RoundWork, Solution, solve};
 use crate::page::calibration::touch::TouchWork;
@@ -15,7 +15,6 @@ use cell_calibration::taken::Wanted;
 use cell_machine::supervisor::round::RoundFault;
 use cell_values::image::Image;
 use serde_json::{Value, json};
-use std::path::Path;
 
 /// See the module.
 #[derive(Default)]
@@ -26,6 +25,8 @@ pub struct Bench {
     pub touches: Option<TouchWork>,
     round: Option<RoundWork>,
     solved: Option<Result<Solution, String>>,
+    /// The number of what was solved last.
+    solutions: u64,
     kept: Option<String>,
 }
 
@@ -42,6 +43,11 @@ pub struct Request<'a> {
 }
 
 impl Bench {
+    /// Solutions are numbered on from `first`: unlike any of an earlier daemon.
+    pub fn numbered_from(first: u64) -> Bench {
+        Bench { solutions: first, ..Bench::default() }
+    }
+
     /// A picture of a round; the first begins a new one.
     pub fn pictured(&mut self, pose: usize, image: Image, sample: Sample) {
         if pose == 1 || self.round.is_none() {
@@ -63,6 +69,7 @@ impl Bench {
     /// Camera and table of the round.
     pub fn solve(&mut self, config: &CellConfig, known: &KnownCell, request: &Request) {
         self.kept = None;
+        self.solutions += 1;
         self.solved = Some(self.solution(config, known, request));
     }
 
@@ -88,14 +95,19 @@ impl Bench {
         solve(config, known, round, asked)
     }
 
-    /// Keeps what was solved.
+    /// Keeps what was solved: the solution of this number, which a person has looked at.
     ///
     /// # Errors
-    /// There is nothing, or it could not be written.
-    pub fn keep(&mut self, config: &CellConfig, state: &Path, when: &str) -> Result<(), String> {
+    /// There is nothing, another one has taken its place, or it could not be written.
+    pub fn keep(&mut self, number: u64, config: &CellConfig, to: &Kept) -> Result<(), String> {
         let solved = self.solved.as_ref().and_then(|solved| solved.as_ref().ok());
         let solved = solved.ok_or("there is no calibration that could be kept")?;
-        self.kept = Some(keep(&solved.set, &config.calibration, state, when)?);
+        if number != self.solutions {
+            return Err(
+                "nothing was kept: another calibration was computed meanwhile; look at it first".into()
+            );
+        }
+        self.kept = Some(keep(&solved.set, &config.calibration, to)?);
         Ok(())
     }
 
@@ -112,11 +124,14 @@ impl Bench {
 
     /// For the page.
     pub fn view(&self, config: &CellConfig) -> Value {
-        let (solved, fault) = match &self.solved {
-            Some(Ok(solved)) => (Some(&solved.view), None),
+        let (mut solved, fault) = match &self.solved {
+            Some(Ok(solved)) => (Some(solved.view.clone()), None),
             Some(Err(fault)) => (None, Some(fault)),
             None => (None, None),
         };
+        if let Some(solved) = &mut solved {
+            solved["number"] = json!(self.solutions);
+        }
         json!({
             "lens": self.lens.as_ref().map(LensWork::view), "round": self.round.as_ref().map(RoundWork::view),
             "touches": self.touches.as_ref().map(|touches| touches.view(config)), "solved": solved,

@@ -6,6 +6,7 @@
 use crate::jobs::utc;
 use crate::page::access::Person;
 use crate::page::calibration::bench::Request;
+use crate::page::calibration::kept::Kept;
 use crate::page::calibration::lens::LensWork;
 use crate::page::calibration::touch::TouchWork;
 use crate::page::guard::Refused;
@@ -85,7 +86,10 @@ pub enum Step {
         tie: bool,
     },
     /// What was solved is written into the calibration files.
-    Keep,
+    Keep {
+        /// Which one was looked at, by `solved.number`.
+        number: u64,
+    },
 }
 
 fn unfit(message: impl Into<String>) -> Refused {
@@ -217,9 +221,9 @@ fn take(app: &Shared, step: Step) -> Result<(), Refused> {
             let request = Request { wanted, dropped: &drop, tie, date: &utc::text(now) };
             app.calibration().solve(&app.cell, &known, &request);
         }
-        Step::Keep => {
-            let kept = app.calibration().keep(&app.cell, app.state.root(), &utc::compact(now));
-            kept.map_err(conflict)?;
+        Step::Keep { number } => {
+            let to = Kept { state: app.state.root(), when: &utc::compact(now) };
+            app.calibration().keep(number, &app.cell, &to).map_err(conflict)?;
         }
     }
     Ok(())
