@@ -16,10 +16,20 @@ use std::future::Future;
 use std::time::Duration;
 use tokio::sync::mpsc::UnboundedSender;
 use tokio::task::JoinHandle;
-use tokio::time::timeout;
+use tokio::time::error::Elapsed;
+use tokio::time::{sleep, timeout};
 
 /// After this silence a bucket has no entries.
 const SILENT: Duration = Duration::from_secs(2);
+
+/// A watch that could not begin, or that has ended, is begun again after this.
+const AGAIN: Duration = Duration::from_secs(5);
+
+/// A watch that has not begun by then has no answer.
+const BEGINS_WITHIN: Duration = Duration::from_secs(15);
+
+/// What a steward follows, in complaints.
+pub const ALL_CLAIMS: &str = "the claims of all cells";
 
 /// What comes back from the network.
 #[derive(Debug)]
@@ -94,7 +104,12 @@ impl Network {
         self.spawn(async move {
             let found = timeout(ANSWER_WITHIN, this.server.claims.entry(Key::claim(&job).to_string())).await;
             let found = match found {
-                Ok(Ok(entry)) => claim_of(entry),
+                Ok(Ok(entry)) => {
+                    let found = claim_of(entry);
+                    let foreign = if found.is_err() { foreign_sentence(&job) } else { String::new() };
+                    this.tell(News::Complaint("claims of another version", foreign));
+                    found
+                }
                 Ok(Err(_)) | Err(_) => Err(()),
             };
             this.tell(News::Input(Input::Read { job, found }));
@@ -237,29 +252,67 @@ impl Network {
         });
     }
 
-    /// Follows refusals, wishes and the cells from now on.
+    /// Follows refusals, wishes and the cells from now on. A watch that cannot begin, or that ends, is begun
+    /// again; meanwhile a sentence says what is not seen.
     pub fn watch(&self) -> [JoinHandle<()>; 2] {
         let (keys, cells) = (self.clone(), self.clone());
         [
             tokio::spawn(async move {
-                let Ok(mut watch) = keys.server.claims.watch_many_with_history(Key::WATCHED).await else {
-                    return;
-                };
-                while let Some(entry) = watch.next().await {
-                    if let Some(input) = entry.ok().and_then(key_input) {
-                        keys.tell(News::Input(input));
-                    }
+                loop {
+                    keys.watch_keys().await;
+                    sleep(AGAIN).await;
                 }
             }),
             tokio::spawn(async move {
-                let Ok(mut watch) = cells.server.cells.watch_with_history(">").await else { return };
-                while let Some(entry) = watch.next().await {
-                    if let Ok(entry) = entry {
-                        cells.cell(entry);
-                    }
+                loop {
+                    cells.watch_cells().await;
+                    sleep(AGAIN).await;
                 }
             }),
         ]
+    }
+
+    async fn watch_keys(&self) {
+        let watch = timeout(BEGINS_WITHIN, self.server.claims.watch_many_with_history(Key::WATCHED)).await;
+        let Some(mut watch) = self.watched("orders from afar", watch) else { return };
+        while let Some(entry) = watch.next().await {
+            if let Some(input) = entry.ok().and_then(key_input) {
+                self.tell(News::Input(input));
+            }
+        }
+        self.ended("orders from afar");
+    }
+
+    async fn watch_cells(&self) {
+        let watch = timeout(BEGINS_WITHIN, self.server.cells.watch_with_history(">")).await;
+        let Some(mut watch) = self.watched("the other cells", watch) else { return };
+        while let Some(entry) = watch.next().await {
+            if let Ok(entry) = entry {
+                self.cell(entry);
+            }
+        }
+        self.ended("the other cells");
+    }
+
+    /// A watch that has begun; a sentence where it could not, taken back where it could.
+    fn watched<T, E: std::fmt::Display>(
+        &self,
+        what: &'static str,
+        watch: Result<Result<T, E>, Elapsed>,
+    ) -> Option<T> {
+        let begun = match watch {
+            Ok(Ok(watch)) => Ok(watch),
+            Ok(Err(error)) => Err(error.to_string()),
+            // A server does not answer what its permissions rule out.
+            Err(_) => Err("no answer".to_string()),
+        };
+        let fault = begun.as_ref().err().map(|text| unseen_sentence(what, text));
+        self.tell(News::Complaint(what, fault.unwrap_or_default()));
+        begun.ok()
+    }
+
+    fn ended(&self, what: &'static str) {
+        self.tell(News::Complaint(what, unseen_sentence(what, "the watch has ended")));
     }
 
     fn cell(&self, entry: Entry) {
@@ -279,31 +332,39 @@ impl Network {
     pub fn follow(&self) -> JoinHandle<()> {
         let this = self.clone();
         tokio::spawn(async move {
-            let Ok(mut watch) = this.server.claims.watch_with_history(Key::CLAIMS).await else { return };
-            let mut known = false;
             loop {
-                let next = match known {
-                    true => Ok(watch.next().await),
-                    false => timeout(SILENT, watch.next()).await,
-                };
-                let last = match next {
-                    Ok(None) => return,
-                    Ok(Some(Err(_))) => false,
-                    Ok(Some(Ok(entry))) => {
-                        let (last, unix_s) = (entry.delta == 0, unix_s(&entry));
-                        if let Ok(Some((claim, revision))) = claim_of(Some(entry)) {
-                            this.tell(News::Input(Input::Claim { claim, revision, unix_s }));
-                        }
-                        last
-                    }
-                    Err(_) => true,
-                };
-                if last && !known {
-                    known = true;
-                    this.tell(News::Input(Input::ClaimsKnown));
-                }
+                this.watch_claims().await;
+                sleep(AGAIN).await;
             }
         })
+    }
+
+    async fn watch_claims(&self) {
+        let watch = timeout(BEGINS_WITHIN, self.server.claims.watch_with_history(Key::CLAIMS)).await;
+        let Some(mut watch) = self.watched(ALL_CLAIMS, watch) else { return };
+        let mut known = false;
+        loop {
+            let next = match known {
+                true => Ok(watch.next().await),
+                false => timeout(SILENT, watch.next()).await,
+            };
+            let last = match next {
+                Ok(None) => return self.ended(ALL_CLAIMS),
+                Ok(Some(Err(_))) => false,
+                Ok(Some(Ok(entry))) => {
+                    let (last, unix_s) = (entry.delta == 0, unix_s(&entry));
+                    if let Ok(Some((claim, revision))) = claim_of(Some(entry)) {
+                        self.tell(News::Input(Input::Claim { claim, revision, unix_s }));
+                    }
+                    last
+                }
+                Err(_) => true,
+            };
+            if last && !known {
+                known = true;
+                self.tell(News::Input(Input::ClaimsKnown));
+            }
+        }
     }
 }
 
@@ -373,6 +434,23 @@ pub fn refusal_sentence(about: &str, text: &str) -> String {
         );
     }
     format!("the server did not take {about}: {text}")
+}
+
+fn foreign_sentence(job: &str) -> String {
+    format!(
+        "the claim of job {job} is not of this version of celld ({VERSION}) or cannot be read, and is left as it \
+         is: this cell neither begins the job nor gives it back, and takes no other one meanwhile; run the same \
+         version in all cells, or take the job back (`celld fleet cancel`)"
+    )
+}
+
+/// What a person should know of a watch that is not there.
+fn unseen_sentence(what: &str, text: &str) -> String {
+    format!(
+        "{what} cannot be followed, and what changes there is not seen ({text}); tried again every {} s, see \
+         the permissions in docs/fleet.md",
+        AGAIN.as_secs()
+    )
 }
 
 #[cfg(test)]

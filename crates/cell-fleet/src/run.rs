@@ -6,7 +6,7 @@
 
 use crate::agent::Agent;
 use crate::link::{Link, keep_linked};
-use crate::network::{Network, News};
+use crate::network::{ALL_CLAIMS, Network, News};
 use crate::payloads::{Answer, Ask, CellState, VERSION, What, decode};
 use crate::pull::pull;
 use crate::side::{CellEvent, CellSide, Settings};
@@ -241,6 +241,8 @@ impl Shell {
                 let following = on.then(|| network.follow());
                 if let Some(before) = std::mem::replace(&mut self.following, following) {
                     before.abort();
+                    // Whose watch was refused is not to be followed any more.
+                    self.complain(ALL_CLAIMS, None);
                 }
             }
             _ => {}

@@ -11,9 +11,9 @@ mod bench;
 use bench::{Cell, STORAGE, Server, client, fleet, program, until};
 use cell_fleet::client::Client;
 use cell_fleet::connect::{ConnectFault, Credentials};
-use cell_fleet::payloads::{ClaimState, Job, What};
+use cell_fleet::payloads::{ClaimState, Job, What, encode};
 use cell_fleet::server::Storage;
-use cell_fleet::subjects::{Asked, Lane, Priority, Target};
+use cell_fleet::subjects::{Asked, Key, Lane, Priority, Target};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
@@ -188,18 +188,20 @@ fn payloads_of_others_are_left_where_they_are_and_named() {
     cell.up();
     let client = runtime.block_on(client(&server, "anna"));
     until("the cell is there", || !runtime.block_on(client.cells()).unwrap().is_empty());
-    let raw = |payload: &'static str| {
+    let raw = |subject: String, payload: &[u8]| {
+        let payload = payload.to_vec();
         let address = format!("nats://127.0.0.1:{}", server.port);
         runtime.block_on(async {
             let connection = async_nats::connect(address).await.unwrap();
             let context = async_nats::jetstream::new(connection);
-            let sent = context.publish(fleet().job(&any(), "anna"), payload.into()).await.unwrap();
+            let sent = context.publish(subject, payload.into()).await.unwrap();
             sent.await.unwrap();
         });
     };
-    raw(r#"{"version": 9, "id": "x"}"#);
+    let in_queue = || fleet().job(&any(), "anna");
+    raw(in_queue(), br#"{"version": 9, "id": "x"}"#);
     until("the version is named", || cell.complains_of("version 9"));
-    raw("no json");
+    raw(in_queue(), b"no json");
     until("it is set aside", || {
         let claims = runtime.block_on(client.claims()).unwrap();
         claims.iter().any(|claim| claim.state == ClaimState::Aside && claim.job.id.starts_with("message-"))
@@ -207,6 +209,13 @@ fn payloads_of_others_are_left_where_they_are_and_named() {
     submit(&runtime, &client, 1);
     ended(&runtime, &client, 1, std::slice::from_ref(&cell));
     assert_eq!(runtime.block_on(client.queued()).unwrap().values().sum::<usize>(), 1, "that of version 9");
+
+    // A claim of another version: its job is neither begun nor given back.
+    let key = Key::claim("later");
+    raw(format!("$KV.{}.{key}", fleet().claims_bucket()), br#"{"version": 9}"#);
+    raw(in_queue(), &encode(&job("later")).unwrap());
+    until("the claim is named", || cell.complains_of("the claim of job later is not of this version"));
+    assert!(!cell.disk.lock().unwrap().carried_out.contains_key("later"));
 }
 
 #[test]
