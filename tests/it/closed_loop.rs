@@ -47,8 +47,8 @@ fn the_page_of_reactions_has_every_case_and_no_other() {
     assert_eq!(page.len(), titles.len());
 }
 
-/// Of so many parts the cases of one run are one part: which, says CELLD_PART (`make test` counts on with
-/// each commit, so that all come by); all with CELLD_ALL_CASES=1 (`make test-cases`).
+/// Of so many parts the cases of one run are one part: which, says CELLD_PART (`make test` takes it from the
+/// commit, so that all come by in time); all with CELLD_ALL_CASES=1 (`make test-cases`).
 fn chosen(number: usize, parts: usize) -> bool {
     std::env::var_os("CELLD_ALL_CASES").is_some() || (number + part()).is_multiple_of(parts)
 }

@@ -93,9 +93,25 @@ pub fn numbers_in(text: &str) -> Vec<f64> {
     parts.filter_map(|part| part.parse().ok()).collect()
 }
 
-/// True where a script ends with a runtime exception.
-pub fn refused(script: &str) -> bool {
-    said(script).iter().any(|text| text.starts_with("exception: "))
+/// What becomes of a statement.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ran {
+    /// The statement after it was reached.
+    Through,
+    /// A runtime exception.
+    Exception,
+    /// Neither: it was not loaded, or does not end.
+    Neither,
+}
+
+/// Runs one statement.
+pub fn ran(statement: &str) -> Ran {
+    let said = said(&format!("def f():\n {statement}\n textmsg(\"after\")\nend\n"));
+    match said.last().map(String::as_str) {
+        Some("after") => Ran::Through,
+        Some(text) if text.starts_with("exception: ") => Ran::Exception,
+        _ => Ran::Neither,
+    }
 }
 
 /// A whole cell with sessions.

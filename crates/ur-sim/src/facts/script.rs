@@ -1,6 +1,6 @@
 //! Examples of the script manual, evaluated.
 
-use crate::facts::rig::{evaluated, refused, value};
+use crate::facts::rig::{Ran, evaluated, ran, value};
 use crate::facts::row::source::SCRIPT;
 use crate::facts::row::{Fact, Section, figures, number, numbers, text};
 
@@ -48,7 +48,7 @@ const EXAMPLES: &[(&str, &[f64], f64)] = &[
     ("get_steptime()", &[0.002], 1e-9),
 ];
 
-/// Statements that the manual rules out, and at the limit what it allows.
+/// Statements that the manual rules out, and like ones that it allows.
 const REFUSED: &[(&str, Limit)] = &[
     ("acos(1.1), beyond [-1, 1]", Limit { beyond: "acos(1.1)", at: "acos(1)" }),
     ("sqrt(-1)", Limit { beyond: "sqrt(-1)", at: "sqrt(0)" }),
@@ -102,21 +102,21 @@ const REFUSED: &[(&str, Limit)] = &[
     ),
 ];
 
-/// Two statements that differ in one number: the manual allows the one and rules the other out.
+/// Two statements of one function: the manual allows the one and rules the other out, for their values.
 struct Limit {
     beyond: &'static str,
     at: &'static str,
 }
 
 impl Limit {
-    /// What becomes of the statement beyond the limit, unless the one at the limit is refused as well: then
+    /// What becomes of the statement beyond the limit, unless the other one is not carried out either: then
     /// it is not the limit that counts.
     fn answer(&self) -> &'static str {
-        let refused = |statement: &str| refused(&format!("def f():\n {statement}\nend\n"));
-        match (refused(self.beyond), refused(self.at)) {
-            (true, false) => "runtime exception",
-            (true, true) => "runtime exception, also at the limit",
-            (false, _) => "accepted",
+        match (ran(self.beyond), ran(self.at)) {
+            (Ran::Exception, Ran::Through) => "runtime exception",
+            (Ran::Exception, _) => "runtime exception, also within the limit",
+            (Ran::Through, _) => "accepted",
+            (Ran::Neither, _) => "not carried out",
         }
     }
 }
