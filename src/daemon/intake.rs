@@ -3,7 +3,7 @@
 //! In: sources of operators' orders (the state folder, the page). Out: [`Event`]s for the machine, in which
 //! an order's number names its source as well; the machine's answers, each to where its order came from. A
 //! source that waits for a disk keeps no order of another one waiting. An order may thus be overtaken: one
-//! to move that was given before a stop of another source and comes after it does not count.
+//! to do something that was given before a stop or a release and comes to light after it does not count.
 
 use crate::daemon::messages::Message;
 use crate::daemon::watchdog::Beat;

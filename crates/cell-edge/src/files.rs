@@ -346,10 +346,7 @@ pub fn take_away(path: &Path) -> Result<bool, FileError> {
 /// The system refuses to remove the file or to sync its folder ([`FileError::Io`]); a folder that is absent
 /// cannot be synced.
 pub fn remove(path: &Path) -> Result<(), FileError> {
-    match std::fs::remove_file(path) {
-        Err(e) if e.kind() != io::ErrorKind::NotFound => Err(FileError::io("remove", path, e)),
-        _ => sync_folder(parent(path)),
-    }
+    if take_away(path)? { Ok(()) } else { sync_folder(parent(path)) }
 }
 
 /// Creates a folder into which the group of `root` may write, where `root` is shared with a group (has the

@@ -70,7 +70,19 @@ impl Order {
     /// After it the cell is not armed, or stays where it is until a person says more: an older order to do
     /// something does not count after it.
     pub fn ends_leave(&self) -> bool {
-        self.only_stops() || matches!(self, Order::Release(_) | Order::Recover(WayBack::Release))
+        match self {
+            Order::Disarm | Order::Pause | Order::Abort | Order::Release(_) => true,
+            Order::Recover(way) => *way == WayBack::Release,
+            Order::Arm
+            | Order::Approve { .. }
+            | Order::Reject(_)
+            | Order::Cancel(_)
+            | Order::Resume
+            | Order::Step
+            | Order::Park
+            | Order::ConfirmGripper
+            | Order::Calibrate => false,
+        }
     }
 
     /// It does nothing but take something away from what is to be done.

@@ -219,7 +219,8 @@ impl Supervisor {
         }
         self.mode.disarm();
         self.phase = Phase::Ready;
-        let (reason, waits) = (self.with_a_hint(reason), self.job_waits_for_a_round());
+        let waits = self.job_waits_for_a_round();
+        let reason = self.with_a_hint(reason, waits);
         alarm(out, format!("disarmed: {}; {}", reason.message, reason.hint));
         self.end_what_moves(now, &reason, out);
         if !waits {
@@ -274,9 +275,9 @@ impl Supervisor {
         self.nonce = None;
     }
 
-    /// A reason without a hint gets what always holds after a stop.
-    fn with_a_hint(&self, reason: Reason) -> Reason {
-        let general = || format!("see that the cell is safe; {}", self.then());
+    /// A reason without a hint gets what always holds after a stop; `waits`: a job goes on waiting after it.
+    fn with_a_hint(&self, reason: Reason, waits: bool) -> Reason {
+        let general = || format!("see that the cell is safe; {}", self.then_with(waits));
         let hint = if reason.hint.is_empty() { general() } else { reason.hint.clone() };
         Reason { hint, ..reason }
     }
@@ -291,15 +292,11 @@ impl Supervisor {
 
     /// Stops the arm, keeps the vacuum, ends the job, disarms.
     pub(crate) fn stop_all(&mut self, now: Timestamp, end: JobStatus, reason: Reason, out: &mut Vec<Action>) {
-        self.stop_and_disarm(out);
-        let reason = self.with_a_hint(reason);
-        alarm(out, format!("{STOP_ORDERED}: {}; {}", reason.message, reason.hint));
-        self.end_what_moves(now, &reason, out);
+        let reason = self.stop_what_moves(now, reason, false, out);
         self.finish(now, end, reason, out);
     }
 
-    /// Stops the arm and disarms. The active job ends with it as `end` says, unless it came during a
-    /// calibration round: it has not begun, and waits.
+    /// The same, but for a job that came during a calibration round: it has not begun, and waits.
     pub(crate) fn stop_what_has_begun(
         &mut self,
         now: Timestamp,
@@ -307,25 +304,26 @@ impl Supervisor {
         reason: Reason,
         out: &mut Vec<Action>,
     ) {
-        let reason = self.stop_without_the_job(now, reason, out);
-        if let Some(reason) = reason {
+        let waits = self.job_waits_for_a_round();
+        let reason = self.stop_what_moves(now, reason, waits, out);
+        if !waits {
             self.finish(now, end, reason, out);
         }
     }
 
-    /// Stops the arm, disarms, ends what moves; the reason with its hint, unless the job goes on waiting.
-    fn stop_without_the_job(
+    /// Stops the arm and disarms; the reason with its hint.
+    fn stop_what_moves(
         &mut self,
         now: Timestamp,
         reason: Reason,
+        waits: bool,
         out: &mut Vec<Action>,
-    ) -> Option<Reason> {
-        let waits = self.job_waits_for_a_round();
+    ) -> Reason {
         self.stop_and_disarm(out);
-        let reason = self.with_a_hint(reason);
+        let reason = self.with_a_hint(reason, waits);
         alarm(out, format!("{STOP_ORDERED}: {}; {}", reason.message, reason.hint));
         self.end_what_moves(now, &reason, out);
-        (!waits).then_some(reason)
+        reason
     }
 
     /// A job came during a calibration round: it has not begun.

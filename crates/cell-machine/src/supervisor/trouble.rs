@@ -30,9 +30,14 @@ impl Supervisor {
 
     /// What leads on after a stop.
     pub(crate) fn then(&self) -> &'static str {
+        self.then_with(self.job_waits_for_a_round())
+    }
+
+    /// The same; `waits`: the job goes on waiting after the stop.
+    pub(crate) fn then_with(&self, waits: bool) -> &'static str {
         match (self.may_be_held(), self.job.is_some()) {
             (true, _) => "something may be held: `celld recover` shows the ways back",
-            (false, true) if self.job_waits_for_a_round() => "the job waits: `celld arm` has it begin",
+            (false, true) if waits => "the job waits: `celld arm` has it begin",
             (false, true) => "then `celld arm` and submit again",
             (false, false) => "then `celld arm`",
         }

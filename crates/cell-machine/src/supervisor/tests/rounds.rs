@@ -71,6 +71,19 @@ fn a_job_that_comes_during_a_round_waits_when_the_round_is_stopped() {
     }
 }
 
+/// An abort ends it, and no text says that it waits.
+#[test]
+fn an_abort_in_a_round_ends_the_job_that_came_meanwhile() {
+    let target = Joints([-1.5, -1.6, 1.9, -1.9, -1.57, 0.0]);
+    let mut bench = Bench::new();
+    bench.feed(Input::Round(Box::new(RoundOrder { poses: vec![target], room: None })));
+    bench.ticks(20);
+    bench.job(false);
+    let said = format!("{:?}", bench.feed(order(Order::Abort)));
+    assert!(bench.cell.job.is_none() && bench.cell.round.is_none());
+    assert!(said.contains("submit again") && !said.contains("the job waits"), "{said}");
+}
+
 #[test]
 fn a_job_waits_also_when_the_round_never_got_under_way() {
     let target = Joints([-1.5, -1.6, 1.9, -1.9, -1.57, 0.0]);
