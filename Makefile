@@ -48,18 +48,20 @@ PACKAGES_BUILT := $(BUILD)/packages
 MOST_MEGABYTES := 15
 
 .PHONY: help setup clients demo try test test-cases test-clients test-clients-many test-page bench-page book bench figures
-.PHONY: fuzz fuzz-corpus setup-fleet test-fleet tidy
+.PHONY: fuzz fuzz-corpus demo-fleet bench-fleet setup-fleet test-fleet tidy
 .PHONY: release install uninstall deb test-deb sim-static wheel image test-wheel test-image
 
 help:
 	@echo "make demo [ARGS='--scene planks']   a whole cell in simulation; report in ./out"
 	@echo "make try                            a simulated cell to watch and operate in the browser"
+	@echo "make demo-fleet                     four simulated cells, one queue, a page of all of them (installs a NATS server)"
 	@echo "make test                           formatting, lints, documentation, all tests but those of the next line"
 	@echo "make test-cases                     every fault in every phase, every order in every state (make test: a part)"
 	@echo "make tidy                           formatting and house rules alone, in seconds"
 	@echo "make test-page                      the page in a browser (installs Chromium)"
 	@echo "make bench-page                     what viewers of the page cost the loop and the processor (ten minutes)"
 	@echo "make test-fleet                     many cells against a real NATS server (installs it)"
+	@echo "make bench-fleet                    100 cells and a NATS server, all killed at random: is each job done once?"
 	@echo "make test-clients                   other people's clients against the simulator (installs them), and test-wheel"
 	@echo "make test-clients-many [RUNS=1000]  those scripts again and again, PARALLEL=20 at a time"
 	@echo "make sim-static                     the simulator alone, one file that runs on any Linux"
@@ -279,6 +281,17 @@ setup-fleet $(FLEET)/installed.txt: tests/fleet/requirements.txt
 	  cp $< $(FLEET)/installed.txt; \
 	fi
 
+demo-fleet: setup setup-fleet
+	@echo "demo-fleet: building celld with the feature fleet (about ten minutes the first time)"
+	@cargo build --release --bin celld --features fleet
+	@echo "demo-fleet: the cells in simulation (some minutes)"
+	@$(BUILD)/release/celld fleet demo --nats-server $(FLEET)/bin/nats-server $(ARGS)
+
+# Figures, none of them judged but one: no job is lost or done twice. About ten minutes.
+bench-fleet: setup-fleet
+	cargo build --release -p cell-fleet --example storm
+	$(BUILD)/release/examples/storm --nats $(FLEET)/bin/nats-server $(ARGS)
+
 FLEET_TESTS := $(patsubst crates/cell-fleet/tests/%.rs,--test %,$(wildcard crates/cell-fleet/tests/*.rs))
 
 test-fleet: export CELLD_NATS_SERVER := $(FLEET)/bin/nats-server
@@ -289,6 +302,8 @@ test-fleet: setup setup-fleet
 	else \
 	  cargo test -p cell-fleet; cargo test --features fleet --lib -- fleet; \
 	fi
+	cargo build $(TESTED) --features fleet --bin celld --test tidy
+	python3 -B tests/fleet/demo.py $(BUILD)/debug/celld $(FLEET)/bin/nats-server $(FLEET)/demo
 
 # With the features that the libraries have in `make test` too (a test target adds those of the tests), so
 # that nothing is built for the page alone.

@@ -5,10 +5,10 @@
 //! configuration or calibration files are exit 2, before any device is touched; a second daemon on one state
 //! folder is 1.
 
+use crate::cli::in_fleet::{Anew, Parts, Shared, fleet, start_with};
 use crate::config::calibrated::{measured, read_calibration};
 use crate::config::cell::CellConfig;
 use crate::config::empty::compare_with_empty;
-use crate::config::load::load_cell;
 use crate::config::setup::{Measured, cell_model, cell_objects, gripper_address, machine_parameters, scene};
 use crate::daemon::cameras;
 use crate::daemon::film::Film;
@@ -28,7 +28,7 @@ use crate::io::camera::monitored::MonitoredCamera;
 use crate::jobs::state::StateFolder;
 use crate::jobs::status::{Remarks, Status};
 use crate::page::feed::{Feed, KnownCell, Watcher};
-use crate::page::orders::{Desk, desk};
+use crate::page::orders::desk;
 use crate::page::shared::Setup;
 use crate::page::texts::Texts;
 use crate::page::{ServeError, app};
@@ -44,7 +44,7 @@ use cell_vision::camera::CameraModel;
 use cell_vision::detect::DetectSettings;
 use clap::Args;
 use rearrange::document::chain::chain;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use tokio::signal::unix::{SignalKind, signal};
@@ -68,17 +68,21 @@ pub struct RunArgs {
     /// The state folder: jobs, journal, commands.
     #[arg(long, default_value = "state", value_name = "DIR")]
     state: PathBuf,
+    /// Start disarmed, whatever `arm_at_start` says.
+    #[arg(long)]
+    disarmed: bool,
 }
 
 /// Runs the daemon until Ctrl-C or SIGTERM; returns the exit code.
 pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
-    let read = load_cell(&args.config).map_err(|error| error.to_string()).and_then(|config| {
+    let read = start_with(&args.config, &args.state).and_then(|(mut config, shared)| {
         let calibration = read_calibration(&config)?;
         refuse_recorded_camera(&config)?;
         cell_objects(&config).map_err(|error| error.to_string())?;
-        Ok((config, calibration))
+        config.arm_at_start &= !args.disarmed;
+        Ok((config, shared, calibration))
     });
-    let (config, calibration) = match read {
+    let (config, shared, calibration) = match read {
         Ok(read) => read,
         Err(message) => {
             complain(&message);
@@ -87,15 +91,28 @@ pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
     };
     let state = StateFolder::new(&args.state);
     let seed = seed();
-    let _lock = match state.take(&first_status(seed)) {
+    let lock = match state.take(&first_status(seed)) {
         Ok(lock) => lock,
         Err(error) => {
             complain(&chain(&error));
             return 1;
         }
     };
-    let config_file = args.config.clone();
-    with_runtime(stop, |stop| daemon(config, config_file, calibration, state, seed, stop))
+    let begin = Begin { config, config_file: args.config.clone(), shared, calibration, state, seed };
+    let anew = Anew::default();
+    let code = with_runtime(stop, |stop| daemon(begin, anew.clone(), stop));
+    drop(lock);
+    anew.start_if_wanted().unwrap_or(code)
+}
+
+/// What the daemon begins with.
+struct Begin {
+    config: CellConfig,
+    config_file: PathBuf,
+    shared: Shared,
+    calibration: CalibrationSet,
+    state: StateFolder,
+    seed: u64,
 }
 
 /// Another one in every run: the name of the run, and what chance starts from.
@@ -210,19 +227,18 @@ async fn shell_when_named(
     }
 }
 
-async fn daemon(
-    config: CellConfig,
-    config_file: PathBuf,
-    calibration: CalibrationSet,
-    state: StateFolder,
-    seed: u64,
-    stop: Arc<AtomicBool>,
-) -> Result<(), String> {
+async fn daemon(begin: Begin, anew: Anew, stop: Arc<AtomicBool>) -> Result<(), String> {
+    let ended_by_a_person = anew.clone();
+    tokio::spawn(async move {
+        end_requested().await;
+        ended_by_a_person.never();
+    });
     let (beats, stopped) = (Beats::default(), || stop.load(Ordering::Relaxed));
     let watchdog = Watchdog::start(beats.clone());
-    let (diagnostic_images, name) = (state.root().to_path_buf(), name_of(seed));
+    let Opened { mut keeper, orders, feed, film } = opened(&begin, name_of(begin.seed), &anew, &stop)?;
+    let Begin { config, config_file, calibration, state, seed, .. } = begin;
+    let diagnostic_images = state.root().to_path_buf();
     let confirmed = state.gripper_confirmed(&gripper_address(&config.devices));
-    let Opened { mut keeper, orders, feed, film } = opened(&config, &config_file, state, name, &stop)?;
     let reception = Reception::open(orders);
     for notice in keeper.notices() {
         tracing::warn!("{notice}");
@@ -289,17 +305,22 @@ struct Opened {
     film: Option<Film>,
 }
 
-fn opened(
-    config: &CellConfig,
-    config_file: &Path,
-    state: StateFolder,
-    name: String,
-    stop: &Arc<AtomicBool>,
-) -> Result<Opened, String> {
-    let memory = GripperMemory::new(&state, gripper_address(&config.devices));
-    let in_folder = StateOrders::open(&state, name.clone(), memory.clone()).map_err(|error| chain(&error))?;
+fn opened(begin: &Begin, name: String, anew: &Anew, stop: &Arc<AtomicBool>) -> Result<Opened, String> {
+    let Begin { config, config_file, shared, state, .. } = begin;
+    let memory = GripperMemory::new(state, gripper_address(&config.devices));
+    let in_folder = StateOrders::open(state, name.clone(), memory.clone()).map_err(|error| chain(&error))?;
     let ((desk, at_page), feed, remarks) = (desk(memory), Feed::default(), Remarks::default());
-    let told = fleet(config, &state, &feed, &desk, &remarks, stop)?;
+    let told = fleet(Parts {
+        config,
+        config_file,
+        shared: shared.clone(),
+        state,
+        feed: &feed,
+        desk: &desk,
+        remarks: &remarks,
+        anew: anew.clone(),
+        stop: stop.clone(),
+    })?;
     let (mut office, mut film) = (None, None);
     if let Some(page) = &config.page {
         let config_name = config_file.file_stem().map(|stem| stem.to_string_lossy().into_owned());
@@ -322,7 +343,7 @@ fn opened(
         film = Some(shown);
     }
     let published = feed.clone();
-    let keeper = StateKeeper::open(config.clone(), state, name).map_err(|error| chain(&error))?;
+    let keeper = StateKeeper::open(config.clone(), state.clone(), name).map_err(|error| chain(&error))?;
     let publish = move |status: &Status| {
         published.status(status);
         told(status);
@@ -330,50 +351,6 @@ fn opened(
     let keeper = keeper.published(Box::new(publish), remarks);
     let orders = Sources::of(vec![Box::new(in_folder.with_office(office)), Box::new(at_page)]);
     Ok(Opened { keeper, orders, feed, film })
-}
-
-/// Is given each status for the cell's fleet; must not block.
-type Told = Box<dyn Fn(&Status) + Send>;
-
-/// The cell's part in its fleet, on a thread of its own; without `fleet:` there is none.
-#[cfg(feature = "fleet")]
-fn fleet(
-    config: &CellConfig,
-    state: &StateFolder,
-    feed: &Feed,
-    desk: &Desk,
-    remarks: &Remarks,
-    stop: &Arc<AtomicBool>,
-) -> Result<Told, String> {
-    let Some(section) = &config.fleet else { return Ok(Box::new(|_| {})) };
-    let daemon = crate::fleet::side::Daemon {
-        config: config.clone(),
-        state: state.clone(),
-        feed: feed.clone(),
-        desk: desk.clone(),
-        remarks: remarks.clone(),
-    };
-    let statuses = crate::fleet::start::start(section, daemon, stop.clone())?;
-    Ok(Box::new(move |status| statuses.written(status)))
-}
-
-#[cfg(not(feature = "fleet"))]
-fn fleet(
-    config: &CellConfig,
-    _state: &StateFolder,
-    _feed: &Feed,
-    _desk: &Desk,
-    _remarks: &Remarks,
-    _stop: &Arc<AtomicBool>,
-) -> Result<Told, String> {
-    match config.fleet {
-        None => Ok(Box::new(|_| {})),
-        Some(_) => {
-            Err("the configuration has `fleet:`, and this celld was built without the feature `fleet`; \
-                        build it with `cargo build --release --features fleet`"
-                .to_string())
-        }
-    }
 }
 
 fn identities(arm: &Arm, measured: &Measured) -> Identities {

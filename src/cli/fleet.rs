@@ -2,15 +2,19 @@
 //!
 //! In: how the server is reached, by options or by the `fleet:` section of a cell's configuration, and the
 //! name of the person, who is one user of the server. Out: lists, answers, sentences. Exit code 0 done, 1
-//! understood and not succeeded, 2 bad input. Nothing here arms, resumes, recovers or releases: that needs
+//! understood and not succeeded, 2 bad input,
+//! 130 after Ctrl-C. Nothing here arms, resumes, recovers or releases: that needs
 //! eyes on the cell.
 
+mod config;
+mod demo;
 mod export;
+mod fetch;
 mod jobs;
+mod page;
 mod reach;
 mod show;
 mod submit;
-mod words;
 
 use crate::cli::fleet::reach::Failure;
 use cell_edge::terminal::complain;
@@ -27,6 +31,10 @@ pub enum FleetCommand {
     Jobs(show::JobsArgs),
     /// What happens in the cells, a line each, until Ctrl-C
     Watch(show::WatchArgs),
+    /// A page of all cells, for this computer, until Ctrl-C
+    Page(page::PageArgs),
+    /// A whole fleet in simulation: a NATS server, cells, a campaign, the page, a report
+    Demo(demo::DemoArgs),
     /// Put a job into the queue
     Submit(submit::SubmitArgs),
     /// Agree to the plan of a job
@@ -42,6 +50,11 @@ pub enum FleetCommand {
     Forget(jobs::ForgetArgs),
     /// What became of a job, and why
     Why(jobs::JobArgs),
+    /// Pictures, plan, report and recording of a job, from the cell that did it
+    Fetch(fetch::FetchArgs),
+    /// A part of the configuration that cells share: catalogue, planner, tolerances
+    #[command(subcommand)]
+    Config(config::ConfigCommand),
     /// Jobs and events for shift reports, as CSV or JSON Lines
     Export(export::ExportArgs),
     /// The state of all cells for Prometheus
@@ -62,6 +75,8 @@ pub fn run(command: FleetCommand, stop: &Arc<AtomicBool>) -> u8 {
             FleetCommand::Status(args) => show::status(&args).await,
             FleetCommand::Jobs(args) => show::jobs(&args).await,
             FleetCommand::Watch(args) => show::watch(&args, stop).await,
+            FleetCommand::Page(args) => page::page(&args, stop).await,
+            FleetCommand::Demo(args) => demo::demo(&args, stop).await,
             FleetCommand::Submit(args) => submit::submit(&args).await,
             FleetCommand::Approve(args) => jobs::approve(&args).await,
             FleetCommand::Reject(args) => jobs::reject(&args).await,
@@ -69,6 +84,8 @@ pub fn run(command: FleetCommand, stop: &Arc<AtomicBool>) -> u8 {
             FleetCommand::Give(args) => jobs::give(&args).await,
             FleetCommand::Forget(args) => jobs::forget(&args).await,
             FleetCommand::Why(args) => jobs::why(&args).await,
+            FleetCommand::Config(command) => config::run(&command).await,
+            FleetCommand::Fetch(args) => fetch::fetch(&args).await,
             FleetCommand::Export(args) => export::export(&args).await,
             FleetCommand::Metrics(args) => export::metrics(&args).await,
         }
@@ -83,5 +100,6 @@ pub fn run(command: FleetCommand, stop: &Arc<AtomicBool>) -> u8 {
             complain(&message);
             1
         }
+        Err(Failure::Stopped) => 130,
     }
 }

@@ -22,6 +22,7 @@ pub mod doctor;
 pub mod fleet;
 pub mod generate;
 pub mod history;
+mod in_fleet;
 pub mod interrupt;
 pub mod jobs;
 pub mod markers;

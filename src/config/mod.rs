@@ -8,12 +8,14 @@ pub mod cell;
 pub mod check;
 pub mod empty;
 pub mod fleet;
+pub mod fragment;
 mod kept;
 pub mod load;
 pub mod page;
 mod parts;
 pub mod pictures;
 pub mod read_cell;
+pub mod read_fragment;
 pub mod round;
 pub mod setup;
 #[cfg(test)]

@@ -10,6 +10,7 @@ use crate::config::camera::camera_device;
 use crate::config::cell::{CellConfig, Devices, MotionLimits, PlannerConfig, SimulationConfig, Tolerances};
 use crate::config::check::check_cell;
 use crate::config::fleet::fleet;
+use crate::config::fragment::ConfigFragment;
 use crate::config::kept::{history, recording};
 use crate::config::page::page;
 use crate::config::parts::{CellParts, TableParts};
@@ -91,17 +92,22 @@ pub const ARM_LAPSE_S: f64 = 600.0;
 /// Text of a file that the configuration names; `Err` says why it cannot be had.
 pub type ReadFile<'a> = dyn Fn(&Path) -> Result<String, String> + 'a;
 
-/// Reads and checks a cell's configuration.
+/// Reads and checks a cell's configuration, with the sections of `shared` in the place of its own.
 ///
 /// # Errors
 /// Every complaint, those about an object file with the places in that file.
 pub fn read_cell(
     text: &str,
     source: &str,
+    shared: Option<&ConfigFragment>,
     folder: &Path,
     read_file: &ReadFile,
 ) -> Result<CellConfig, Diagnostics> {
-    let (node, mut decoder) = Decoder::open(text, source)?;
+    let (own, mut decoder) = Decoder::open(text, source)?;
+    let node = match shared {
+        Some(shared) => shared.over(own),
+        None => own,
+    };
     let mut beside = Diagnostics::default();
     let cell = decoder.map(&At::top(&node), CELL_KEYS).and_then(|fields| {
         let parts = parts(&mut decoder, &fields, folder, read_file, &mut beside);
@@ -236,7 +242,7 @@ fn table(decoder: &mut Decoder, fields: &Fields) -> TableParts {
 
 /// What could be read of the objects, and the marker numbers of all.
 #[derive(Default)]
-struct Catalogue {
+pub(super) struct Catalogue {
     objects: Option<Vec<Option<ObjectSpec>>>,
     markers: Vec<MarkerUse>,
 }
@@ -284,7 +290,7 @@ fn object_file(text: &str, source: &str) -> (Catalogue, Diagnostics) {
     (found.unwrap_or_default(), decoder.finish(Some(())).err().unwrap_or_default())
 }
 
-fn object_list(decoder: &mut Decoder, at: &At) -> Catalogue {
+pub(super) fn object_list(decoder: &mut Decoder, at: &At) -> Catalogue {
     let Some(items) = decoder.sequence(at) else { return Catalogue::default() };
     if items.is_empty() {
         decoder.complain_at(
@@ -385,7 +391,7 @@ fn joint_range(decoder: &mut Decoder, at: &At) -> Option<[(f64, f64); 6]> {
     range
 }
 
-fn tolerances(decoder: &mut Decoder, at: &At, settle_s: f64) -> Option<Tolerances> {
+pub(super) fn tolerances(decoder: &mut Decoder, at: &At, settle_s: f64) -> Option<Tolerances> {
     let known = [
         "goal_position_m",
         "goal_angle_deg",
@@ -447,7 +453,7 @@ fn foreign(decoder: &mut Decoder, at: &At) -> Option<ForeignRule> {
     }
 }
 
-fn planner(decoder: &mut Decoder, at: &At) -> Option<PlannerConfig> {
+pub(super) fn planner(decoder: &mut Decoder, at: &At) -> Option<PlannerConfig> {
     let fields = decoder.map(at, &["solver", "objective", "time_limit_s", "seed"])?;
     let solver = fields.required("solver", decoder).and_then(|at| decoder.word(&at));
     let objective = fields.required("objective", decoder).and_then(|at| decoder.word(&at));

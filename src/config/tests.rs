@@ -17,7 +17,7 @@ fn cell(text: &str) -> Result<CellConfig, Diagnostics> {
         }
         _ => Err("no such file".to_owned()),
     };
-    read_cell(text, "cell.yaml", Path::new("/etc/celld"), &read)
+    read_cell(text, "cell.yaml", None, Path::new("/etc/celld"), &read)
 }
 
 /// Changes one thing in the example and expects one complaint that contains `expected`.

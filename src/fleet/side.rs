@@ -6,7 +6,9 @@
 
 use crate::config::cell::CellConfig;
 use crate::daemon::job_orders::{found_by, job_context};
-use crate::fleet::told::{decided, events, local, rejected, state_of};
+use crate::fleet::files::files_of;
+use crate::fleet::fragment::{Follower, Next};
+use crate::fleet::told::{decided, events, is_idle, local, rejected, state_of};
 use crate::jobs::goal::read_goal_file;
 use crate::jobs::job_file::read_job;
 use crate::jobs::journal::Journal;
@@ -17,8 +19,10 @@ use crate::jobs::submit::{Handed, hand_in, prepare, stem};
 use crate::page::feed::{Feed, Sight};
 use crate::page::orders::Desk;
 use cell_edge::clock::unix_now_s;
+use cell_fleet::files::FileKind;
+use cell_fleet::fragments::Wanted;
 use cell_fleet::payloads::{CellState, Job, What};
-use cell_fleet::side::{CellEvent, CellSide, Ordered};
+use cell_fleet::side::{CellEvent, CellSide, FilesAsked, FragmentState, Ordered};
 use cell_fleet::subjects::Asked;
 use cell_fleet::values::Local;
 use cell_machine::orders::{Order, Reply};
@@ -26,6 +30,8 @@ use cell_motion::reach::reaches;
 use rearrange::document::chain::chain;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::Receiver;
 use tokio::sync::oneshot;
 
@@ -44,6 +50,12 @@ pub struct Daemon {
     pub desk: Desk,
     /// What the status says of the fleet.
     pub remarks: Remarks,
+    /// The shared part of the configuration.
+    pub fragments: Follower,
+    /// Stops celld and has it start anew.
+    pub start_anew: Box<dyn Fn() + Send>,
+    /// Stops celld.
+    pub stop: Arc<AtomicBool>,
 }
 
 /// See the module.
@@ -144,11 +156,13 @@ fn waiting_file(state: &StateFolder, job: &Job) -> Option<String> {
     names.filter_map(|entry| entry.file_name().into_string().ok()).find(|name| name.ends_with(&end))
 }
 
-fn order_of(asked: Asked, job: &str, plan: Option<u64>) -> Order {
+/// The order that a request is; asking for files is none.
+fn order_of(asked: Asked, job: &str, plan: Option<u64>) -> Option<Order> {
     match asked {
-        Asked::Approve => Order::Approve { id: job.to_string(), plan },
-        Asked::Reject => Order::Reject(job.to_string()),
-        Asked::Cancel => Order::Cancel(job.to_string()),
+        Asked::Approve => Some(Order::Approve { id: job.to_string(), plan }),
+        Asked::Reject => Some(Order::Reject(job.to_string())),
+        Asked::Cancel => Some(Order::Cancel(job.to_string())),
+        Asked::Send => None,
     }
 }
 
@@ -213,12 +227,11 @@ impl CellSide for Side {
 
     fn order(&mut self, asked: Asked, job: &str, plan: Option<u64>, by: &str) -> Ordered {
         let (answer, answered) = oneshot::channel();
-        let (desk, order, by) =
-            (self.daemon.desk.clone(), order_of(asked, job, plan), format!("{by}, over the fleet"));
         // No page may give it, whatever comes: what sets the arm in motion needs eyes on the cell.
-        if order.needs_sight() {
+        let Some(order) = order_of(asked, job, plan).filter(|order| !order.needs_sight()) else {
             return answered;
-        }
+        };
+        let (desk, by) = (self.daemon.desk.clone(), format!("{by}, over the fleet"));
         if asked != Asked::Cancel {
             self.decided_afar.insert(job.to_string());
         }
@@ -228,6 +241,35 @@ impl CellSide for Side {
             let _ = answer.send((accepted, message));
         });
         answered
+    }
+
+    fn files(&mut self, job: &str, kinds: &[FileKind]) -> FilesAsked {
+        let (answer, answered) = oneshot::channel();
+        let (config, state) = (self.daemon.config.clone(), self.daemon.state.clone());
+        let (job, kinds) = (job.to_string(), kinds.to_vec());
+        tokio::task::spawn_blocking(move || {
+            // Who asked may have gone.
+            let _ = answer.send(files_of(&config, &state, &job, &kinds));
+        });
+        answered
+    }
+
+    fn fragment(&mut self, wanted: Option<Wanted<'_>>) -> FragmentState {
+        let status = self.daemon.feed.last_status().filter(|_| self.daemon.feed.is_of_now());
+        let quiet = status.is_some_and(|status| is_idle(&status) && !status.armed);
+        let state = FragmentState { runs: self.daemon.fragments.runs(), ..FragmentState::default() };
+        match self.daemon.fragments.next(wanted, quiet) {
+            Next::Stay => state,
+            Next::Wait(number) => FragmentState { waits: Some(number), ..state },
+            Next::Fault(fault) => FragmentState { fault: Some(fault), ..state },
+            Next::StartAnew => {
+                tracing::info!(
+                    "fleet: a shared part of the configuration is taken; celld starts anew, disarmed"
+                );
+                (self.daemon.start_anew)();
+                state
+            }
+        }
     }
 
     fn complaints(&mut self, complaints: &[String]) {

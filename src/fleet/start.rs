@@ -14,8 +14,6 @@ use cell_fleet::side::Settings;
 use cell_fleet::store::Limits;
 use cell_fleet::subjects::Fleet;
 use std::fmt::Write as _;
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::{SyncSender, sync_channel};
 
 /// Statuses that wait to be looked at: more than a minute's worth of them.
@@ -65,7 +63,8 @@ impl Statuses {
 ///
 /// # Errors
 /// A name that cannot be one, no random numbers, no thread.
-pub fn start(section: &FleetConfig, daemon: Daemon, stop: Arc<AtomicBool>) -> Result<Statuses, String> {
+pub fn start(section: &FleetConfig, daemon: Daemon) -> Result<Statuses, String> {
+    let stop = daemon.stop.clone();
     let settings = Settings {
         fleet: fleet(section)?,
         cell: section.cell.clone(),

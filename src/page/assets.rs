@@ -29,7 +29,7 @@ macro_rules! files {
 }
 
 /// Path, type, content.
-static FILES: [(&str, &str, &[u8]); 19] = files![
+static FILES: [(&str, &str, &[u8]); 20] = files![
     "index.html" HTML,
     "page.css" CSS,
     "icon.svg" SVG,
@@ -44,6 +44,7 @@ static FILES: [(&str, &str, &[u8]); 19] = files![
     "calibrate.js" SCRIPT,
     "arm.js" SCRIPT,
     "live.js" SCRIPT,
+    "spark.js" SCRIPT,
     "orders.js" SCRIPT,
     "goal.js" SCRIPT,
     "jobs.js" SCRIPT,

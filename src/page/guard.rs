@@ -122,14 +122,18 @@ pub async fn every_request(State(app): State<App>, mut request: Request, next: N
             }
         }
     };
-    let headers = response.headers_mut();
+    harden(response.headers_mut());
+    response
+}
+
+/// What every answer says to the browser: scripts and frames of others have no place here.
+pub fn harden(headers: &mut HeaderMap) {
     // A report brings its own styles.
     headers.entry(CONTENT_SECURITY_POLICY).or_insert(HeaderValue::from_static(POLICY));
     headers.insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
     headers.insert(X_FRAME_OPTIONS, HeaderValue::from_static("DENY"));
     headers.insert(REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
     headers.entry(CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));
-    response
 }
 
 /// The answer once the body is there; one that does not come is not waited for.

@@ -13,14 +13,14 @@
 
 pub mod access;
 pub mod app;
-mod assets;
+pub(crate) mod assets;
 pub mod calibration;
 pub mod control;
 pub mod drafts;
 pub mod feed;
 mod film;
-mod guard;
-mod limits;
+pub(crate) mod guard;
+pub(crate) mod limits;
 mod live;
 mod markers;
 mod metrics;
@@ -29,7 +29,7 @@ pub mod orders;
 mod records;
 pub mod routes;
 pub mod screen;
-mod server;
+pub(crate) mod server;
 mod session;
 pub mod shared;
 pub mod texts;

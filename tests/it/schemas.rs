@@ -39,7 +39,7 @@ fn told<T>(read: Result<T, Diagnostics>) -> Result<(), String> {
 fn config(text: &str) -> Result<(), String> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
     let file = |path: &Path| std::fs::read_to_string(path).map_err(|error| error.to_string());
-    told(read_cell(text, "cell.yaml", &folder, &file))
+    told(read_cell(text, "cell.yaml", None, &folder, &file))
 }
 
 fn job(text: &str) -> Result<(), String> {

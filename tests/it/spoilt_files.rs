@@ -80,7 +80,7 @@ const STRANGE: &[&str] = &[
 fn read(kind: usize, text: &str) {
     let no_file = |_: &str| -> Result<String, String> { Err("no such file".to_string()) };
     match kind {
-        0 => complaints(read_cell(text, "cell.yaml", Path::new("/nowhere"), &|_| {
+        0 => complaints(read_cell(text, "cell.yaml", None, Path::new("/nowhere"), &|_| {
             Err("no such file".to_string())
         })),
         1 => complaints(CameraCalibration::parse(text, "camera.yaml")),

@@ -3,6 +3,8 @@
 //! Out: the document as JSON; `docs/asyncapi.json` is held to it by a test, and examples of every payload to
 //! its schemas. Pure.
 
+use crate::files::FileKind;
+use crate::fragments::FRAGMENT_MAX;
 use crate::payloads::{JOB_TEXT_MAX, PAYLOAD_MAX, VERSION, What};
 use crate::subjects::{Asked, JOB_ID_MAX, NAME_MAX, Priority, ROOT};
 use serde_json::{Map, Value, json};
@@ -63,6 +65,10 @@ fn channels() -> Value {
             format!("{ROOT}.{{fleet}}.ask.{{cell}}.{{asked}}.{{user}}"), &["fleet", "cell", "asked", "user"], "ask",
             "a request to one cell, answered after it was decided",
         ),
+        "fragments": channel(
+            "$KV.celld-{fleet}-config.{target}.{user}".to_string(), &["fleet", "target", "user"], "fragment",
+            "parts of a configuration that cells share; of one target the newest counts, its number is its revision",
+        ),
         "cells": channel(
             "$KV.celld-{fleet}-cells.{cell}".to_string(), &["fleet", "cell"], "cell",
             "the bucket of the cells' states",
@@ -88,7 +94,11 @@ fn channels() -> Value {
 
 fn operations() -> Value {
     let operation = |action: &str, channel: &str, summary: &str| json!({ "action": action, "channel": { "$ref": format!("#/channels/{channel}") }, "summary": summary });
-    let mut ask = operation("send", "ask", "agree to a plan, refuse it, or give a job up");
+    let mut ask = operation(
+        "send",
+        "ask",
+        "agree to a plan, refuse it, give a job up, or have its files put into the object store celld-FLEET-files",
+    );
     ask["reply"] = json!({ "messages": [{ "$ref": "#/components/messages/answer" }] });
     json!({
         "submit": operation("send", "jobs", "submit a job"),
@@ -97,12 +107,13 @@ fn operations() -> Value {
         "ask": ask,
         "follow": operation("receive", "events", "what happens in the cells"),
         "see": operation("receive", "cells", "the state of each cell"),
+        "publish": operation("send", "fragments", "publish a part of a configuration, or take it back by an empty text"),
         "trace": operation("receive", "claims", "what becomes of each job"),
     })
 }
 
 fn messages() -> Value {
-    let names = ["job", "event", "ask", "answer", "cell", "claim", "refusal", "wish"];
+    let names = ["job", "event", "ask", "answer", "cell", "claim", "refusal", "wish", "fragment"];
     let message = |name: &&str| {
         (name.to_string(), json!({ "payload": { "$ref": format!("#/components/schemas/{name}") } }))
     };
@@ -145,13 +156,19 @@ fn schemas() -> Value {
     json!({
         "job": job,
         "event": event(&name, &outcome),
-        "ask": object(json!({ "job": id, "plan": { "type": ["integer", "null"] } }), &["job"]),
-        "answer": object(json!({ "accepted": { "type": "boolean" }, "message": text }), &["accepted", "message"]),
-        "refusal": object(json!({ "epoch": count, "reason": text, "unix_s": number }), &["epoch", "reason", "unix_s"]),
-        "wish": object(
-            json!({ "epoch": count, "target": text, "begun": { "type": "boolean" }, "unix_s": number }),
-            &["epoch", "unix_s"],
+        "ask": object(
+            json!({
+                "job": id, "plan": { "type": ["integer", "null"] },
+                "files": { "type": "array", "items": { "enum": FileKind::ALL.map(FileKind::as_str) } },
+            }),
+            &["job"],
         ),
+        "answer": object(
+            json!({ "accepted": { "type": "boolean" }, "message": text, "files": texts }),
+            &["accepted", "message"],
+        ),
+        "refusal": object(json!({ "epoch": count, "reason": text, "unix_s": number }), &["epoch", "reason", "unix_s"]),
+        "wish": wish(&number, &count, &text),
         "claim": object(
             json!({
                 "job": { "$ref": "#/components/schemas/job" }, "target": text,
@@ -162,8 +179,23 @@ fn schemas() -> Value {
             }),
             &["job", "target", "priority", "by", "state", "cell", "unix_s"],
         ),
+        "fragment": fragment(&number),
         "cell": cell(&number, &count, &text, &texts),
     })
+}
+
+fn wish(number: &Value, count: &Value, text: &Value) -> Value {
+    let properties =
+        json!({ "epoch": count, "target": text, "begun": { "type": "boolean" }, "unix_s": number });
+    object(properties, &["epoch", "unix_s"])
+}
+
+fn fragment(number: &Value) -> Value {
+    let properties = json!({
+        "text": { "type": "string", "maxLength": FRAGMENT_MAX },
+        "sha256": { "type": "string", "pattern": "^[0-9a-f]{64}$" }, "unix_s": number,
+    });
+    object(properties, &["text", "sha256", "unix_s"])
 }
 
 fn cell(number: &Value, count: &Value, text: &Value, texts: &Value) -> Value {
@@ -177,7 +209,7 @@ fn cell(number: &Value, count: &Value, text: &Value, texts: &Value) -> Value {
             "labels": texts, "celld": text, "unix_s": number, "clock_ahead_s": number, "state": text,
             "message": text, "hint": text, "armed": flag, "idle": flag, "job": { "type": ["string", "null"] },
             "awaiting_approval": texts, "plan": { "type": ["integer", "null"] }, "holds": texts, "step": { "type": ["array", "null"], "items": count },
-            "totals": totals, "undelivered": count, "vacuum_percent": { "type": ["number", "null"] },
+            "totals": totals, "fragment": count, "fragment_waits": count, "undelivered": count, "vacuum_percent": { "type": ["number", "null"] },
             "drift_mm": { "type": ["number", "null"] }, "complaints": texts,
         }),
         &["labels", "celld", "unix_s", "state", "message", "armed", "idle"],

@@ -5,29 +5,36 @@
 //! cells do it.
 
 use crate::connect::{ANSWER_WITHIN, Access, ConnectFault, connect};
+use crate::files::FileKind;
 use crate::network::{entries, refusal_sentence, unix_s};
 use crate::payloads::{
     Answer, Ask, CellState, Claim, ClaimState, Event, Job, Refusal, VERSION, Wish, decode, encode,
 };
 use crate::server::{Server, Storage, open};
 use crate::subjects::{Asked, Fleet, Key, Lane};
+use crate::words::unix_s_of;
 use async_nats::Client as Connection;
 use async_nats::jetstream::consumer::{DeliverPolicy, pull};
+use async_nats::jetstream::kv::Entry;
 use async_nats::jetstream::message::PublishMessage;
 use futures_util::StreamExt;
 use std::collections::BTreeMap;
+use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio::time::timeout;
 
 /// Longer than a cell takes to answer an order: the arm may have to stop first.
-const ORDER_WITHIN: std::time::Duration = std::time::Duration::from_secs(20);
+const ORDER_WITHIN: Duration = Duration::from_secs(20);
+
+/// A large recording over a slow network.
+const FILES_WITHIN: Duration = Duration::from_secs(600);
 
 /// A person's connection to a fleet.
 pub struct Client {
-    fleet: Fleet,
-    user: String,
-    connection: Connection,
-    server: Server,
+    pub(crate) fleet: Fleet,
+    pub(crate) user: String,
+    pub(crate) connection: Connection,
+    pub(crate) server: Server,
 }
 
 /// A cell with the age of its state.
@@ -54,8 +61,15 @@ pub struct Story {
     pub events: Vec<Event>,
 }
 
-fn text(error: impl ToString) -> String {
+pub(crate) fn text(error: impl ToString) -> String {
     error.to_string()
+}
+
+/// A cell by the entry of its state; one of another version says that it is.
+pub(crate) fn shown(entry: Entry) -> Shown {
+    let state = decode::<CellState>(&entry.value)
+        .unwrap_or_else(|fault| CellState { message: fault.to_string(), ..CellState::default() });
+    Shown { unix_s: unix_s(&entry), name: entry.key, state }
 }
 
 impl Client {
@@ -73,6 +87,11 @@ impl Client {
         let connection = connect(access, events).await?;
         let server = open(&connection, &fleet, storage).await?;
         Ok(Client { fleet, user: user.to_string(), connection, server })
+    }
+
+    /// The fleet's name.
+    pub fn fleet_name(&self) -> &str {
+        self.fleet.name()
     }
 
     /// Puts a job into a queue; false when the same one is there already.
@@ -111,6 +130,14 @@ impl Client {
         }
     }
 
+    /// What has become of a job, if a cell or the fleet has decided something.
+    ///
+    /// # Errors
+    /// What the server says.
+    pub async fn claim_of(&self, job: &str) -> Result<Option<Claim>, String> {
+        Ok(self.claim(job).await?.map(|(claim, _)| claim))
+    }
+
     async fn claim(&self, job: &str) -> Result<Option<(Claim, u64)>, String> {
         let entry = self.server.claims.entry(Key::claim(job).to_string()).await.map_err(text)?;
         let put = entry.filter(|entry| entry.operation == async_nats::jetstream::kv::Operation::Put);
@@ -122,14 +149,21 @@ impl Client {
     /// # Errors
     /// What the server says.
     pub async fn cells(&self) -> Result<Vec<Shown>, String> {
-        let mut cells = Vec::new();
-        for entry in entries(&self.server.cells, ">").await? {
-            let state = decode::<CellState>(&entry.value)
-                .unwrap_or_else(|fault| CellState { message: fault.to_string(), ..CellState::default() });
-            cells.push(Shown { unix_s: unix_s(&entry), name: entry.key, state });
-        }
+        let mut cells: Vec<Shown> = entries(&self.server.cells, ">").await?.into_iter().map(shown).collect();
         cells.sort_by(|a, b| a.name.cmp(&b.name));
         Ok(cells)
+    }
+
+    /// The server's time, s since 1970: by it count the ages of what it stores, whatever our clock says.
+    ///
+    /// # Errors
+    /// It does not say, or not in time.
+    pub async fn server_unix_s(&self) -> Result<f64, String> {
+        let what = format!("STREAM.INFO.{}", self.fleet.events_stream());
+        let answer = timeout(ANSWER_WITHIN, self.server.context.request(what, &())).await;
+        let answer: serde_json::Value = answer.map_err(text)?.map_err(text)?;
+        let time = answer.get("ts").and_then(serde_json::Value::as_str);
+        time.and_then(unix_s_of).ok_or_else(|| "the server does not say what time it is".to_string())
     }
 
     /// All claims, the newest last.
@@ -319,9 +353,24 @@ impl Client {
         job: &str,
         plan: Option<u64>,
     ) -> Result<Answer, String> {
-        let bytes = encode(&Ask { version: VERSION, job: job.to_string(), plan }).map_err(text)?;
+        let ask = Ask { version: VERSION, job: job.to_string(), plan, files: Vec::new() };
+        self.request(cell, asked, &ask, ORDER_WITHIN).await
+    }
+
+    /// Asks a cell to put files of a job into the object store; their names are in the answer.
+    ///
+    /// # Errors
+    /// As [`Client::ask`].
+    pub async fn ask_for_files(&self, cell: &str, job: &str, kinds: &[FileKind]) -> Result<Answer, String> {
+        let files = kinds.iter().map(|kind| kind.as_str().to_string()).collect();
+        let ask = Ask { version: VERSION, job: job.to_string(), plan: None, files };
+        self.request(cell, Asked::Send, &ask, FILES_WITHIN).await
+    }
+
+    async fn request(&self, cell: &str, asked: Asked, ask: &Ask, within: Duration) -> Result<Answer, String> {
+        let bytes = encode(ask).map_err(text)?;
         let subject = self.fleet.ask(cell, asked, &self.user);
-        let request = async_nats::Request::new().payload(bytes.into()).timeout(Some(ORDER_WITHIN));
+        let request = async_nats::Request::new().payload(bytes.into()).timeout(Some(within));
         let answer = self.connection.send_request(subject, request).await.map_err(|error| {
             format!("cell {cell} does not answer ({error}); nothing is known of the order")
         })?;

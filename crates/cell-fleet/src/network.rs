@@ -4,10 +4,12 @@
 //! is a sentence beside it. Requests have a deadline, and nothing here waits for another.
 
 use crate::connect::ANSWER_WITHIN;
+use crate::fragments::{FRAGMENT_MAX, Fragment, Published};
 use crate::payloads::{Answer, CellState, Claim, Event, Refusal, VERSION, What, Wish, decode, encode};
 use crate::server::Server;
-use crate::subjects::{Fleet, Key};
+use crate::subjects::{Fleet, Key, Target};
 use crate::values::{Found, Input, Settle, Who, Written};
+use crate::words::sha256;
 use async_nats::Subject;
 use async_nats::jetstream::kv::{CreateErrorKind, Entry, Operation, Store, UpdateErrorKind};
 use async_nats::jetstream::{AckKind, Context, Message, message::PublishMessage};
@@ -49,6 +51,8 @@ pub enum News {
     DeliveryOver(Option<String>),
     /// Something happened to a job, for the cell's own sequence of events.
     Happened(String, What),
+    /// A configuration fragment was published.
+    Fragment(Box<Published>),
     /// Something was refused: about what, and a sentence. An empty one takes it back.
     Complaint(&'static str, String),
 }
@@ -254,9 +258,15 @@ impl Network {
 
     /// Follows refusals, wishes and the cells from now on. A watch that cannot begin, or that ends, is begun
     /// again; meanwhile a sentence says what is not seen.
-    pub fn watch(&self) -> [JoinHandle<()>; 2] {
-        let (keys, cells) = (self.clone(), self.clone());
+    pub fn watch(&self) -> [JoinHandle<()>; 3] {
+        let (keys, cells, fragments) = (self.clone(), self.clone(), self.clone());
         [
+            tokio::spawn(async move {
+                loop {
+                    fragments.watch_fragments().await;
+                    sleep(AGAIN).await;
+                }
+            }),
             tokio::spawn(async move {
                 loop {
                     keys.watch_keys().await;
@@ -292,6 +302,17 @@ impl Network {
             }
         }
         self.ended("the other cells");
+    }
+
+    async fn watch_fragments(&self) {
+        let watch = timeout(BEGINS_WITHIN, self.server.config.watch_with_history(">")).await;
+        let Some(mut watch) = self.watched("shared configuration", watch) else { return };
+        while let Some(entry) = watch.next().await {
+            if let Some(published) = entry.ok().and_then(published) {
+                self.tell(News::Fragment(Box::new(published)));
+            }
+        }
+        self.ended("shared configuration");
     }
 
     /// A watch that has begun; a sentence where it could not, taken back where it could.
@@ -382,6 +403,17 @@ fn claim_of(entry: Option<Entry>) -> Found {
         }
         _ => Ok(None),
     }
+}
+
+/// The fragment in an entry; none where it was deleted, is of another version, or not what its hash says.
+pub fn published(entry: Entry) -> Option<Published> {
+    if entry.operation != Operation::Put {
+        return None;
+    }
+    let (target, by) = Target::of_config_key(&entry.key)?;
+    let fragment = decode::<Fragment>(&entry.value).ok()?;
+    let sound = fragment.text.len() <= FRAGMENT_MAX && sha256(&fragment.text) == fragment.sha256;
+    sound.then_some(Published { target, by, revision: entry.revision, fragment })
 }
 
 /// What an entry under a watched key says.

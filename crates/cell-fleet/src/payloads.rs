@@ -5,6 +5,7 @@
 //! within a version, and what a reader does not know it leaves out; whatever changes the meaning of one that
 //! is there is another version, which is refused with both numbers. Pure.
 
+pub use crate::asks::{Answer, Ask};
 use crate::subjects::{Lane, is_job_id};
 pub use crate::words::{sentence, sha256};
 use serde::de::DeserializeOwned;
@@ -350,6 +351,12 @@ pub struct CellState {
     /// How far the reference markers seemed to be off in the last look, mm.
     #[serde(default)]
     pub drift_mm: Option<f64>,
+    /// Number of the configuration fragment that it runs with.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fragment: Option<u64>,
+    /// Number of the one that it is to run with, as soon as it is idle and disarmed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fragment_waits: Option<u64>,
     /// What is wrong with its part in the fleet, a sentence each.
     #[serde(default)]
     pub complaints: Vec<String>,
@@ -471,30 +478,6 @@ impl Event {
     pub fn message_id(&self) -> String {
         format!("{}/{}/{}", self.cell, self.series, self.number)
     }
-}
-
-/// Something asked of a cell; who asks says the subject.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Ask {
-    /// [`VERSION`].
-    pub version: u32,
-    /// The job it is about.
-    pub job: String,
-    /// To approve: the number of the plan that was shown ([`CellState::plan`]). A plan that has taken its
-    /// place meanwhile is not agreed to.
-    #[serde(default)]
-    pub plan: Option<u64>,
-}
-
-/// The cell's answer, after it has decided.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Answer {
-    /// [`VERSION`].
-    pub version: u32,
-    /// It is done.
-    pub accepted: bool,
-    /// What happens, or why not.
-    pub message: String,
 }
 
 #[cfg(test)]

@@ -5,23 +5,25 @@
 //! exists: a dead network or a slow disk keep this thread waiting and no other.
 
 use crate::agent::Agent;
+use crate::files::{self, FileKind};
+use crate::fragments::Shelf;
 use crate::link::{Link, keep_linked};
 use crate::network::{ALL_CLAIMS, Network, News};
 use crate::payloads::{Answer, Ask, CellState, VERSION, What, decode};
 use crate::pull::pull;
-use crate::side::{CellEvent, CellSide, Settings};
+use crate::side::{CellEvent, CellSide, FragmentState, Settings};
 use crate::store::Store;
 use crate::subjects::Asked;
 use crate::values::{At, Effect, Entry, Input, Settle, Token, Written};
 use crate::world;
-use async_nats::{Message, Subscriber, jetstream};
+use async_nats::{Message, Subject, Subscriber, jetstream};
 use cell_values::time::Timestamp;
 use futures_util::StreamExt;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use tokio::sync::{mpsc, watch};
+use tokio::sync::{Semaphore, mpsc, watch};
 use tokio::task::JoinHandle;
 
 /// What the cell says is looked at so often.
@@ -89,6 +91,8 @@ pub async fn run(settings: Settings, mut cell: Box<dyn CellSide>, stop: Arc<Atom
         messages: BTreeMap::new(),
         last_token: 0,
         asks: None,
+        shelf: Shelf::default(),
+        sending: Arc::new(Semaphore::new(1)),
         delivering: false,
         shown: CellState::default(),
         shown_at: None,
@@ -118,6 +122,9 @@ struct Shell {
     messages: BTreeMap<Token, jetstream::Message>,
     last_token: Token,
     asks: Option<Subscriber>,
+    shelf: Shelf,
+    /// A place for one request for files.
+    sending: Arc<Semaphore>,
     delivering: bool,
     shown: CellState,
     shown_at: Option<Instant>,
@@ -274,6 +281,7 @@ impl Shell {
                 self.complain("events", fault);
             }
             News::Happened(job, what) => self.note(Some(job), what, unix_now_s()),
+            News::Fragment(published) => self.shelf.put(*published),
             News::Complaint(about, message) => self.complain(about, Some(message)),
         }
     }
@@ -322,6 +330,8 @@ impl Shell {
             Link::Up(ready) => {
                 self.drop_tasks();
                 self.faults.clear();
+                // Of another server, perhaps, or one that has lost its disk: numbers begin anew there.
+                self.shelf = Shelf::default();
                 let (client, server, consumers) = *ready;
                 let (fleet, cell) = (self.settings.fleet.clone(), self.settings.cell.clone());
                 self.asks = client.subscribe(fleet.asks_of(&cell)).await.ok();
@@ -356,9 +366,9 @@ impl Shell {
             }
             Ok((asked, by, ask))
         });
-        let answer = |accepted: bool, text: String| Answer { version: VERSION, accepted, message: text };
         match read {
             Err(fault) => network.reply(reply, &answer(false, fault)),
+            Ok((Asked::Send, _, Ask { job, files, .. })) => self.send(network, reply, job, &files),
             Ok((asked, by, Ask { job, plan, .. })) => {
                 let ordered = self.cell.order(asked, &job, plan, &by);
                 let news = self.news_sender.clone();
@@ -375,6 +385,41 @@ impl Shell {
         }
     }
 
+    /// A person wants files: found and sent on a thread of their own, one request at a time.
+    fn send(&mut self, network: Network, reply: Subject, job: String, kinds: &[String]) {
+        let kinds: Vec<FileKind> = kinds.iter().filter_map(|word| FileKind::of(word)).collect();
+        if kinds.is_empty() {
+            return network
+                .reply(reply, &answer(false, "no kind of file that this celld knows is named".into()));
+        }
+        let Ok(place) = self.sending.clone().try_acquire_owned() else {
+            let busy = "files of another request are being sent; try again in a minute";
+            return network.reply(reply, &answer(false, busy.to_string()));
+        };
+        let (cell, found) = (self.settings.cell.clone(), self.cell.files(&job, &kinds));
+        let (fleet, replicas) = (self.settings.fleet.clone(), self.settings.storage.replicas);
+        let runtime = tokio::runtime::Handle::current();
+        let work = move || {
+            let (_place, _inside) = (place, runtime.enter());
+            let sent = runtime.block_on(async {
+                let files = found.await.map_err(|_| "celld is ending".to_string())??;
+                files::send(&network.context(), &fleet, replicas, [&cell, &job], files).await
+            });
+            let said = match sent {
+                Ok(files) if files.is_empty() => {
+                    answer(false, format!("cell {cell} has no such file of job {job}"))
+                }
+                Ok(files) => {
+                    Answer { files, ..answer(true, "the files are in the object store".to_string()) }
+                }
+                Err(fault) => answer(false, fault),
+            };
+            network.reply(reply, &said);
+        };
+        // No thread: who asks gets no answer, and asks again.
+        let _ = std::thread::Builder::new().name("fleet files".to_string()).spawn(work);
+    }
+
     /// Looks at the cell: what happened, and how it is.
     fn look(&mut self) {
         for CellEvent { job, what, unix_s } in self.cell.events() {
@@ -388,6 +433,10 @@ impl Shell {
         state.clock_ahead_s = (self.ahead_s * 10.0).round() / 10.0;
         state.undelivered = self.store.waiting().unwrap_or(0);
         state.totals = self.store.totals().unwrap_or_default();
+        let wanted = self.shelf.wanted(&self.settings.cell, &self.settings.labels);
+        let FragmentState { runs, waits, fault } = self.cell.fragment(wanted);
+        (state.fragment, state.fragment_waits) = (runs, waits);
+        self.complain("fragment", fault);
         state.complaints = self.agent.complaints();
         state.complaints.extend(self.faults.values().cloned());
         if state.complaints != self.said {
@@ -423,6 +472,10 @@ impl Shell {
             Err(error) => self.complain("database", Some(error.to_string())),
         }
     }
+}
+
+fn answer(accepted: bool, message: String) -> Answer {
+    Answer { version: VERSION, accepted, message, files: Vec::new() }
 }
 
 /// What an effect that needs the network becomes without one.

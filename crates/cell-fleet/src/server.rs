@@ -1,4 +1,4 @@
-//! What a fleet has on the server: two streams and two buckets, made if they are missing and checked if not.
+//! What a fleet has on the server: two streams and three buckets, made if missing and checked if not.
 //!
 //! In: a client, the fleet, how much may be stored. Out: their handles. The stream of jobs is a work queue:
 //! each message goes to one consumer and is gone once it is settled; full, it refuses what is new, so that a
@@ -60,6 +60,8 @@ pub struct Server {
     pub claims: kv::Store,
     /// The cells' states.
     pub cells: kv::Store,
+    /// Configuration fragments.
+    pub config: kv::Store,
 }
 
 fn store_fault(what: &str, message: impl ToString) -> ConnectFault {
@@ -83,7 +85,8 @@ pub async fn open(client: &Client, fleet: &Fleet, storage: Storage) -> Result<Se
     let events = stream(&context, events_config(fleet, storage)).await?;
     let claims = bucket(&context, claims_config(fleet, storage)).await?;
     let cells = bucket(&context, cells_config(fleet, storage)).await?;
-    Ok(Server { context, jobs, events, claims, cells })
+    let config = bucket(&context, fragments_config(fleet, storage)).await?;
+    Ok(Server { context, jobs, events, claims, cells, config })
 }
 
 fn jobs_config(fleet: &Fleet, storage: Storage) -> Config {
@@ -138,6 +141,21 @@ fn cells_config(fleet: &Fleet, storage: Storage) -> kv::Config {
         history: 1,
         storage: StorageType::File,
         max_bytes: 64 << 20,
+        num_replicas: storage.replicas,
+        ..kv::Config::default()
+    }
+}
+
+/// Versions of a fragment that one can go back to.
+const FRAGMENTS_KEPT: i64 = 32;
+
+fn fragments_config(fleet: &Fleet, storage: Storage) -> kv::Config {
+    kv::Config {
+        bucket: fleet.config_bucket(),
+        description: "celld: parts of configurations that cells share".to_string(),
+        history: FRAGMENTS_KEPT,
+        storage: StorageType::File,
+        max_bytes: 256 << 20,
         num_replicas: storage.replicas,
         ..kv::Config::default()
     }

@@ -4,6 +4,8 @@
 //! Nothing of it arms, resumes, recovers or releases.
 
 use crate::connect::Access;
+use crate::files::{FileKind, FileToSend};
+use crate::fragments::Wanted;
 use crate::payloads::{CellState, Job, What};
 use crate::server::Storage;
 use crate::store::Limits;
@@ -14,6 +16,20 @@ use tokio::sync::oneshot;
 
 /// What an order is answered with, later.
 pub type Ordered = oneshot::Receiver<(bool, String)>;
+
+/// Files that are asked for, later.
+pub type FilesAsked = oneshot::Receiver<Result<Vec<FileToSend>, String>>;
+
+/// Where a cell is with its configuration fragment.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FragmentState {
+    /// The one it runs with.
+    pub runs: Option<u64>,
+    /// The one it is to run with, as soon as it is idle and disarmed; 0: with its own configuration alone.
+    pub waits: Option<u64>,
+    /// Why it cannot.
+    pub fault: Option<String>,
+}
 
 /// What has happened in the cell.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,6 +71,13 @@ pub trait CellSide: Send {
     /// Gives an order in the name of a person; the answer comes after it was decided. To approve goes with
     /// the number of the plan that the person was shown.
     fn order(&mut self, asked: Asked, job: &str, plan: Option<u64>, by: &str) -> Ordered;
+
+    /// The files of a job, of these kinds; nothing waits for them.
+    fn files(&mut self, job: &str, kinds: &[FileKind]) -> FilesAsked;
+
+    /// What the cell should run with; it takes that when it is idle and disarmed, by starting anew. `None`:
+    /// nothing is known of it.
+    fn fragment(&mut self, wanted: Option<Wanted<'_>>) -> FragmentState;
 
     /// What is wrong with the cell's part in the fleet, for its own log and status; empty when nothing is.
     fn complaints(&mut self, complaints: &[String]);

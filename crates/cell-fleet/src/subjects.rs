@@ -128,6 +128,20 @@ impl Target {
         }
     }
 
+    /// The key of a fragment of this target, in the bucket of fragments: who publishes is its last token.
+    pub fn config_key(&self, by: &str) -> String {
+        let [kind, name] = self.tokens();
+        format!("{kind}.{name}.{by}")
+    }
+
+    /// Target and person of a key of that bucket.
+    pub fn of_config_key(key: &str) -> Option<(Target, String)> {
+        let tokens: Vec<&str> = key.split('.').collect();
+        let [kind, name, by] = tokens[..] else { return None };
+        (is_name(name) && is_name(by)).then_some(())?;
+        Some((Target::of([kind, name])?, by.to_string()))
+    }
+
     /// Whether a cell of this name, with these labels, is meant.
     pub fn includes(&self, cell: &str, labels: &[String]) -> bool {
         match self {
@@ -182,11 +196,13 @@ pub enum Asked {
     Reject,
     /// Give a job up after the present pick-n-place.
     Cancel,
+    /// Put files of a job into the object store.
+    Send,
 }
 
 impl Asked {
     /// All of them.
-    pub const ALL: [Asked; 3] = [Asked::Approve, Asked::Reject, Asked::Cancel];
+    pub const ALL: [Asked; 4] = [Asked::Approve, Asked::Reject, Asked::Cancel, Asked::Send];
 
     /// The token.
     pub fn as_str(self) -> &'static str {
@@ -194,6 +210,7 @@ impl Asked {
             Asked::Approve => "approve",
             Asked::Reject => "reject",
             Asked::Cancel => "cancel",
+            Asked::Send => "send",
         }
     }
 }
@@ -261,6 +278,16 @@ impl Fleet {
     /// The bucket of the cells' states.
     pub fn cells_bucket(&self) -> String {
         format!("celld-{}-cells", self.name)
+    }
+
+    /// The bucket of files that persons asked for.
+    pub fn files_bucket(&self) -> String {
+        format!("celld-{}-files", self.name)
+    }
+
+    /// The bucket of configuration fragments.
+    pub fn config_bucket(&self) -> String {
+        format!("celld-{}-config", self.name)
     }
 
     /// All subjects of jobs.
@@ -454,6 +481,17 @@ mod tests {
         }
     }
 
+    #[test]
+    fn the_key_of_a_fragment_says_for_whom_and_by_whom() {
+        for target in [Target::any(), Target::Cell("c1".into())] {
+            let key = target.config_key("anna");
+            assert_eq!(Target::of_config_key(&key), Some((target, "anna".to_string())), "{key}");
+        }
+        for key in ["", "cell.c1", "cell..anna", "rack.c1.anna", "cell.c1.anna.b"] {
+            assert_eq!(Target::of_config_key(key), None, "{key}");
+        }
+    }
+
     /// Consumers of a work queue must not overlap: no subject is in two lanes.
     #[test]
     fn lanes_do_not_overlap() {
@@ -472,7 +510,7 @@ mod tests {
     #[test]
     fn nothing_that_moves_an_arm_by_itself_can_be_asked_from_afar() {
         let words: Vec<&str> = Asked::ALL.into_iter().map(Asked::as_str).collect();
-        assert_eq!(words, ["approve", "reject", "cancel"]);
+        assert_eq!(words, ["approve", "reject", "cancel", "send"]);
         for word in ["arm", "resume", "recover", "release", "step", "park"] {
             assert!(fleet().read_ask(&format!("celld.v1.plant.ask.c1.{word}.anna"), "c1").is_err());
         }

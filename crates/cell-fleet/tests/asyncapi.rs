@@ -6,8 +6,9 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests: an unwrap that fails is the test that fails")]
 
 use cell_fleet::asyncapi::asyncapi;
+use cell_fleet::fragments::Fragment;
 use cell_fleet::payloads::{
-    Answer, Ask, CellState, Claim, ClaimState, Event, Job, Outcome, Refusal, VERSION, What, Wish,
+    Answer, Ask, CellState, Claim, ClaimState, Event, Job, Outcome, Refusal, VERSION, What, Wish, sha256,
 };
 use cell_fleet::subjects::{Asked, Fleet, Key, Lane, Priority, Target};
 use serde_json::{Value, json};
@@ -55,12 +56,19 @@ fn every_payload_fits_its_schema_and_names_no_field_that_it_has_not() {
     fits("claim", &claim);
     fits("refusal", &Refusal { version: VERSION, epoch: 1, reason: "no".into(), unix_s: 1.0 });
     fits("wish", &Wish { version: VERSION, epoch: 1, target: Some("any".into()), begun: true, unix_s: 1.0 });
-    fits("ask", &Ask { version: VERSION, job: "a".into(), plan: Some(3) });
-    fits("answer", &Answer { version: VERSION, accepted: true, message: "yes".into() });
+    fits("ask", &Ask { version: VERSION, job: "a".into(), plan: Some(3), files: vec!["plan".into()] });
+    fits(
+        "answer",
+        &Answer { version: VERSION, accepted: true, message: "yes".into(), files: vec!["plan.svg".into()] },
+    );
+    let text = "version: 1\n".to_string();
+    fits("fragment", &Fragment { version: VERSION, sha256: sha256(&text), text, unix_s: 1.0 });
     let cell = CellState {
         version: VERSION,
         step: Some((1, 2)),
         plan: Some(3),
+        fragment: Some(4),
+        fragment_waits: Some(5),
         vacuum_percent: Some(50.0),
         ..CellState::default()
     };
@@ -105,6 +113,7 @@ fn every_name_is_an_address_of_the_document() {
         ("jobs", fleet.job(&lane, "anna")),
         ("events", fleet.event("c1", "done")),
         ("ask", fleet.ask("c1", Asked::Approve, "anna")),
+        ("fragments", format!("$KV.{}.{}", fleet.config_bucket(), lane.target.config_key("anna"))),
         ("cells", format!("$KV.{}.c1", fleet.cells_bucket())),
         ("claims", key(Key::claim("a"))),
         ("refusals", key(Key::Refusal { job: job.clone(), cell })),

@@ -9,11 +9,14 @@
 mod bench;
 
 use bench::{Cell, STORAGE, Server, client, fleet, program, until};
+use cell_fleet::changes::Change;
 use cell_fleet::client::Client;
 use cell_fleet::connect::{ConnectFault, Credentials};
+use cell_fleet::files::FileKind;
 use cell_fleet::payloads::{ClaimState, Job, What, encode};
 use cell_fleet::server::Storage;
 use cell_fleet::subjects::{Asked, Key, Lane, Priority, Target};
+use futures_util::StreamExt;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
@@ -331,4 +334,103 @@ fn a_client_of_the_mqtt_gateway_sees_the_events() {
     let event: cell_fleet::payloads::Event = serde_json::from_str(payload).unwrap();
     assert_eq!((topic, event.number), ("celld/v1/test/event/c1/fault", 1));
     assert!(matches!(event.what, What::Fault { message, .. } if message == "the feeder is empty"));
+}
+
+#[test]
+fn files_go_over_the_object_store_whole() {
+    let Some(program) = program() else { return };
+    let (server, runtime) = (Server::usual(&program), runtime());
+    let mut cell = Cell::new("c1", server.access(None), 0);
+    // Several chunks, and not a whole number of them.
+    let bytes: Vec<u8> = (0..3_000_001_u32).map(|number| (number % 251) as u8).collect();
+    cell.disk.lock().unwrap().file.clone_from(&bytes);
+    cell.up();
+    let client = runtime.block_on(client(&server, "anna"));
+    submit(&runtime, &client, 1);
+    ended(&runtime, &client, 1, &[]);
+    let folder = tempfile::tempdir().unwrap();
+    let kinds = [FileKind::Plan, FileKind::Recording];
+    let answer = runtime.block_on(client.ask_for_files("c1", "job-0", &kinds)).unwrap();
+    assert_eq!((answer.accepted, answer.files.len()), (true, 2), "{answer:?}");
+    for name in &answer.files {
+        let path = runtime.block_on(client.fetch("c1", "job-0", name, folder.path())).unwrap();
+        assert_eq!(std::fs::read(path).unwrap(), bytes, "{name}");
+    }
+    let answer = runtime.block_on(client.ask_for_files("c1", "job-1", &kinds)).unwrap();
+    assert_eq!((answer.accepted, answer.message.as_str()), (false, "no such job"));
+    for name in ["../plan.bin", "/etc/passwd", "none.bin"] {
+        assert!(runtime.block_on(client.fetch("c1", "job-0", name, folder.path())).is_err(), "{name}");
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2, "nothing half is left");
+}
+
+#[test]
+fn a_cell_knows_the_newest_of_its_nearest_target() {
+    let Some(program) = program() else { return };
+    let (mut server, runtime) = (Server::usual(&program), runtime());
+    let mut cell = Cell::new("c1", server.access(None), 0);
+    cell.up();
+    let (anna, ben) = (runtime.block_on(client(&server, "anna")), runtime.block_on(client(&server, "ben")));
+    let publish = |who: &Client, target: &str, text: &str| {
+        let target = Target::parse(target).unwrap();
+        runtime.block_on(who.publish_fragment(&target, text, 1.0)).unwrap()
+    };
+    let wants = |text: Option<Option<&str>>| {
+        until("what the cell should run with", || {
+            cell.disk.lock().unwrap().wanted.as_ref().map(|wanted| wanted.as_deref()) == text
+        });
+    };
+    publish(&anna, "any", "all");
+    wants(Some(Some("all")));
+    publish(&anna, "label=line", "of anna");
+    wants(Some(Some("of anna")));
+    let number = publish(&ben, "label=line", "of ben");
+    wants(Some(Some("of ben")));
+    until("its number in the cell's state", || {
+        let cells = runtime.block_on(anna.cells()).unwrap_or_default();
+        cells.iter().any(|cell| cell.state.fragment == Some(number))
+    });
+    let history = runtime.block_on(anna.fragment_history(&Target::Label("line".into()))).unwrap();
+    assert_eq!(history.iter().map(|one| one.by.as_str()).collect::<Vec<_>>(), ["anna", "ben"]);
+    publish(&anna, "label=line", "");
+    wants(Some(Some("all")));
+    publish(&ben, "any", "");
+    wants(Some(None));
+    publish(&ben, "any", "again");
+    wants(Some(Some("again")));
+    // A server that has lost everything changes no cell.
+    server.wipe();
+    wants(None);
+}
+
+#[test]
+fn all_that_changes_is_followed_and_dated_by_the_server() {
+    let Some(program) = program() else { return };
+    let (server, runtime) = (Server::usual(&program), runtime());
+    let mut cell = Cell::new("c1", server.access(None), 0);
+    cell.up();
+    let client = runtime.block_on(client(&server, "anna"));
+    submit(&runtime, &client, 3);
+    ended(&runtime, &client, 3, &[]);
+    let (claims, dones, cells) = runtime.block_on(async {
+        let mut changes = client.changes(1000).await.unwrap();
+        let (mut claims, mut dones, mut cells) = (BTreeMap::new(), 0, 0);
+        while claims.len() < 3 || dones < 3 || cells == 0 {
+            match changes.next().await.unwrap() {
+                Change::Claim(claim) => drop(claims.insert(claim.job.id.clone(), claim.state)),
+                Change::Event(event) => dones += u32::from(matches!(event.what, What::Done { .. })),
+                Change::Cell(_) => cells += 1,
+                Change::CellGone(_) | Change::ClaimGone(_) => {}
+                Change::Ended(what) => panic!("{what} has ended"),
+            }
+        }
+        (claims, dones, cells)
+    });
+    assert!(claims.values().all(|state| *state == ClaimState::Ended) && dones == 3 && cells > 0);
+    let (server_s, own) =
+        (runtime.block_on(client.server_unix_s()).unwrap(), std::time::UNIX_EPOCH.elapsed());
+    assert!(
+        (server_s - own.unwrap().as_secs_f64()).abs() < 60.0,
+        "{server_s}: on one computer it is one time"
+    );
 }

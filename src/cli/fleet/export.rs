@@ -4,8 +4,9 @@
 //! but for the reading.
 
 use crate::cli::fleet::reach::{Failure, ReachArgs};
-use crate::cli::fleet::words::words;
+use crate::cli::fleet::show::now_s;
 use crate::cli::task::outln;
+use crate::fleet::words::words;
 use crate::jobs::history::since;
 use crate::jobs::utc;
 use cell_edge::clock::unix_now_s;
@@ -139,7 +140,7 @@ fn csv(claims: &[&Claim]) -> String {
 pub async fn metrics(args: &MetricsArgs) -> Result<(), Failure> {
     let client = args.reach.client().await?;
     let (cells, queued) = (client.cells().await?, client.queued().await?);
-    outln!("{}", prometheus(&cells, queued.values().sum(), unix_now_s()).trim_end());
+    outln!("{}", prometheus(&cells, queued.values().sum(), now_s(&client).await).trim_end());
     Ok(())
 }
 

@@ -3,8 +3,8 @@
 //! In: a job's id. Out: what the cell or the fleet decided, or the job's story.
 
 use crate::cli::fleet::reach::{Failure, ReachArgs};
-use crate::cli::fleet::words::words;
 use crate::cli::task::outln;
+use crate::fleet::words::words;
 use crate::jobs::utc;
 use cell_fleet::client::{Client, Story};
 use cell_fleet::payloads::Claim;

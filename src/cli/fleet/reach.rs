@@ -95,6 +95,8 @@ pub enum Failure {
     Usage(String),
     /// Understood, and not succeeded: exit code 1.
     Failed(String),
+    /// Ctrl-C: exit code 130.
+    Stopped,
 }
 
 impl From<String> for Failure {

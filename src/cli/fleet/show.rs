@@ -4,11 +4,12 @@
 
 use crate::cli::client::Format;
 use crate::cli::fleet::reach::{Failure, ReachArgs};
-use crate::cli::fleet::words::words;
 use crate::cli::task::outln;
+use crate::fleet::view::OLD_S;
+use crate::fleet::words::words;
 use crate::jobs::utc;
 use cell_edge::clock::unix_now_s;
-use cell_fleet::client::Shown;
+use cell_fleet::client::{Client, Shown};
 use cell_fleet::payloads::Claim;
 use clap::Args;
 use futures_util::StreamExt;
@@ -16,9 +17,6 @@ use serde_json::json;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-
-/// A state older than this is not of now.
-const OLD_S: f64 = 15.0;
 
 /// How often Ctrl-C is looked for.
 const LOOK_EVERY: Duration = Duration::from_millis(200);
@@ -56,10 +54,15 @@ pub struct WatchArgs {
     reach: ReachArgs,
 }
 
+/// The time by the server's clock, which dates the states; this computer's where it does not say.
+pub async fn now_s(client: &Client) -> f64 {
+    client.server_unix_s().await.unwrap_or_else(|_| unix_now_s())
+}
+
 pub async fn status(args: &StatusArgs) -> Result<(), Failure> {
     let client = args.reach.client().await?;
     let (cells, queued) = (client.cells().await?, client.queued().await?);
-    let now = unix_now_s();
+    let now = now_s(&client).await;
     match args.format {
         Format::Json => {
             let cell =
@@ -116,7 +119,7 @@ pub async fn jobs(args: &JobsArgs) -> Result<(), Failure> {
         outln!("{}", json!({ "claims": shown, "queued": queued }));
         return Ok(());
     }
-    let now = unix_now_s();
+    let now = now_s(&client).await;
     let seen: BTreeMap<&str, f64> = cells.iter().map(|cell| (cell.name.as_str(), cell.unix_s)).collect();
     shown.iter().for_each(|claim| outln!("{}", claim_line(claim, &seen, now)));
     outln!("{} jobs in the queue", queued.values().sum::<usize>());

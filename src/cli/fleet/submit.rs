@@ -114,10 +114,12 @@ async fn campaign(
         let job = payload(&format!("{id}.{}", cell.name), spec, Some(id))?;
         let target = Target::Cell(cell.name.clone());
         // One that does not get its job keeps none from the others.
-        if let Err(Failure::Usage(fault) | Failure::Failed(fault)) =
-            put(client, &job, &Lane { priority, target }).await
-        {
-            faults.push(format!("{}: {fault}", cell.name));
+        match put(client, &job, &Lane { priority, target }).await {
+            Ok(()) => {}
+            Err(Failure::Usage(fault) | Failure::Failed(fault)) => {
+                faults.push(format!("{}: {fault}", cell.name));
+            }
+            Err(stopped @ Failure::Stopped) => return Err(stopped),
         }
     }
     if faults.is_empty() {

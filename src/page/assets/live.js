@@ -7,6 +7,7 @@ import { view, ground, outline, foreign, labels, arrows, numbers, after, at } fr
 import { picture } from "./picture.js";
 import { arm3d } from "./arm.js";
 import { orders } from "./orders.js";
+import { spark } from "./spark.js";
 
 /** Parts that are drawn anew at changes of these kinds. */
 function live(title, kinds, draw, attributes = {}) {
@@ -115,16 +116,6 @@ function moves() {
 }
 
 const log = () => h("ol", { class: "log", tabindex: 0, "aria-label": t("What happened") }, [...state.sentences].reverse().slice(0, 100).map(({ unix_s, alarm, text }) => h("li", { class: alarm ? "warn" : "" }, h("time", {}, time(unix_s)), text)));
-
-export function spark(points, unit) {
-  if (points.length < 2) return h("p", { class: "soft" }, t("not enough values yet"));
-  const values = points.map(([, value]) => value);
-  const [low, high] = [Math.min(...values), Math.max(...values)];
-  const y = (value) => 60 - 56 * (value - low) / (high - low || 1);
-  const line = values.map((value, index) => `${(index * 300 / (values.length - 1)).toFixed(1)} ${y(value).toFixed(1)}`).join("L");
-  return h("div", {}, s("svg", { class: "spark", viewBox: "-2 0 304 64", preserveAspectRatio: "none", role: "img", "aria-label": `${number(low)} – ${number(high)} ${unit}` }, s("path", { d: "M" + line, "vector-effect": "non-scaling-stroke" })),
-    h("p", { class: "soft" }, `${t("last")} ${number(values.at(-1), 2)} ${unit}, ${t("range")} ${number(low, 2)} – ${number(high, 2)} ${unit}`));
-}
 
 function trends() {
   const body = h("div");

@@ -6,10 +6,12 @@
 
 use cell_fleet::client::Client;
 use cell_fleet::connect::{Access, Credentials};
+use cell_fleet::files::{Content, FileKind, FileToSend};
+use cell_fleet::fragments::Wanted;
 use cell_fleet::payloads::{CellState, Job, Outcome, What};
 use cell_fleet::run::run;
 use cell_fleet::server::Storage;
-use cell_fleet::side::{CellEvent, CellSide, Ordered, Settings};
+use cell_fleet::side::{CellEvent, CellSide, FilesAsked, FragmentState, Ordered, Settings};
 use cell_fleet::store::Limits;
 use cell_fleet::subjects::{Asked, Fleet};
 use cell_fleet::values::Local;
@@ -105,6 +107,14 @@ impl Server {
         }
     }
 
+    /// A server of the same address that has lost its disk.
+    pub fn wipe(&mut self) {
+        self.kill();
+        // Without JetStream there is none.
+        let _ = std::fs::remove_dir_all(self.folder.path().join("store"));
+        self.up();
+    }
+
     pub fn access(&self, credentials: Option<Credentials>) -> Access {
         Access {
             servers: vec![format!("nats://127.0.0.1:{}", self.port)],
@@ -149,6 +159,10 @@ pub struct Disk {
     /// Faults of its own, to be reported.
     pub told: Vec<String>,
     pub disarmed: bool,
+    /// The shared configuration that it should run with, as it was last: absent, none, or a text.
+    pub wanted: Option<Option<String>>,
+    /// Bytes of each file of its jobs.
+    pub file: Vec<u8>,
 }
 
 struct Side {
@@ -207,6 +221,32 @@ impl CellSide for Side {
         self.disk.lock().unwrap().ordered.push((asked, job.to_string(), plan, by.to_string()));
         let _ = answer.send((true, "agreed".to_string()));
         answered
+    }
+
+    fn files(&mut self, job: &str, kinds: &[FileKind]) -> FilesAsked {
+        let (answer, answered) = oneshot::channel();
+        let disk = self.disk.lock().unwrap();
+        let file = |kind: &FileKind| FileToSend {
+            name: format!("{}.bin", kind.as_str()),
+            content: Content::Bytes(disk.file.clone()),
+        };
+        let known = disk.journal.contains_key(job);
+        let files = if known { Ok(kinds.iter().map(file).collect()) } else { Err("no such job".to_string()) };
+        let _ = answer.send(files);
+        answered
+    }
+
+    fn fragment(&mut self, wanted: Option<Wanted<'_>>) -> FragmentState {
+        let text = wanted.map(|wanted| match wanted {
+            Wanted::This(published) => Some(published.fragment.text.clone()),
+            Wanted::None => None,
+        });
+        let runs = match wanted {
+            Some(Wanted::This(published)) => Some(published.revision),
+            Some(Wanted::None) | None => None,
+        };
+        self.disk.lock().unwrap().wanted = text;
+        FragmentState { runs, ..FragmentState::default() }
     }
 
     fn complaints(&mut self, complaints: &[String]) {

@@ -1,4 +1,4 @@
-//! Events of a fleet in words. Pure.
+//! Events of a fleet in words, for terminal and page. Pure.
 
 use cell_fleet::payloads::{Event, What};
 

@@ -1,0 +1,188 @@
+//! Files of a job in the server's object store: a cell puts them there when a person asks for them.
+//!
+//! In: files on the cell's disk or made for it. Out: objects `CELL/JOB/NAME` in the bucket
+//! `celld-FLEET-files`, kept for a week. A name is one plain token and no path.
+
+use crate::network::refusal_sentence;
+use crate::subjects::Fleet;
+use async_nats::jetstream::Context;
+use async_nats::jetstream::object_store::{Config, ObjectMetadata, ObjectStore};
+use async_nats::jetstream::stream::StorageType;
+use std::fs::File;
+use std::io::Read;
+use std::path::PathBuf;
+use std::pin::Pin;
+use std::task::Poll;
+use std::time::Duration;
+use tokio::io::{AsyncRead, ReadBuf};
+
+/// What is in the bucket is for who asked for it.
+const KEPT: Duration = Duration::from_secs(7 * 86_400);
+
+/// Bytes of the bucket.
+const BUCKET_BYTES: i64 = 10 << 30;
+
+/// Bytes of one file: a long recording.
+pub const FILE_BYTES_MAX: u64 = 1 << 30;
+
+/// Longest name of a file.
+const FILE_NAME_MAX: usize = 200;
+
+/// Read at once.
+pub(crate) const CHUNK: usize = 128 * 1024;
+
+/// What can be asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum FileKind {
+    /// The plan as a drawing.
+    Plan,
+    /// The table when the plan was made, and at the end.
+    Pictures,
+    /// The job's report, one page.
+    Report,
+    /// What the journal says of it.
+    Result,
+    /// Its recording, which may be large.
+    Recording,
+}
+
+impl FileKind {
+    /// All of them.
+    pub const ALL: [FileKind; 5] =
+        [FileKind::Plan, FileKind::Pictures, FileKind::Report, FileKind::Result, FileKind::Recording];
+
+    /// The word.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            FileKind::Plan => "plan",
+            FileKind::Pictures => "pictures",
+            FileKind::Report => "report",
+            FileKind::Result => "result",
+            FileKind::Recording => "recording",
+        }
+    }
+
+    /// The kind that a word names.
+    pub fn of(word: &str) -> Option<FileKind> {
+        FileKind::ALL.into_iter().find(|kind| kind.as_str() == word)
+    }
+}
+
+/// Where a file's bytes are.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Content {
+    /// In memory.
+    Bytes(Vec<u8>),
+    /// On the disk.
+    File(PathBuf),
+}
+
+/// A file that is sent.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FileToSend {
+    /// One plain token, as [`is_file_name`] has it.
+    pub name: String,
+    /// Its bytes.
+    pub content: Content,
+}
+
+/// A name that is no path: letters, digits, dots, dashes and underscores, no dot first.
+pub fn is_file_name(name: &str) -> bool {
+    let plain = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'.' | b'-' | b'_');
+    (1..=FILE_NAME_MAX).contains(&name.len()) && !name.starts_with('.') && name.bytes().all(plain)
+}
+
+pub(crate) fn object_name(cell: &str, job: &str, name: &str) -> String {
+    format!("{cell}/{job}/{name}")
+}
+
+async fn bucket(context: &Context, fleet: &Fleet, replicas: usize) -> Result<ObjectStore, String> {
+    let name = fleet.files_bucket();
+    if let Ok(found) = context.get_object_store(&name).await {
+        return Ok(found);
+    }
+    let config = Config {
+        bucket: name.clone(),
+        description: Some("celld: files of jobs that a person asked for".to_string()),
+        max_age: KEPT,
+        max_bytes: BUCKET_BYTES,
+        storage: StorageType::File,
+        num_replicas: replicas,
+        ..Config::default()
+    };
+    match context.create_object_store(config).await {
+        Ok(made) => Ok(made),
+        // Another cell made it at this moment.
+        Err(error) => {
+            context.get_object_store(&name).await.map_err(|_| refusal_sentence("files", &error.to_string()))
+        }
+    }
+}
+
+/// A reader that reads where it is asked: on a thread that has nothing else to do.
+struct Blocking<R>(R);
+
+impl<R: Read + Unpin> AsyncRead for Blocking<R> {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        _: &mut std::task::Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<std::io::Result<()>> {
+        let mut bytes = vec![0; buffer.remaining().min(CHUNK)];
+        Poll::Ready(
+            self.0.read(&mut bytes).map(|count| buffer.put_slice(bytes.get(..count).unwrap_or_default())),
+        )
+    }
+}
+
+/// Puts files into the store, on the thread that calls; their names come back.
+///
+/// # Errors
+/// A file that cannot be read or is too large, or what the server says.
+pub async fn send(
+    context: &Context,
+    fleet: &Fleet,
+    replicas: usize,
+    [cell, job]: [&str; 2],
+    files: Vec<FileToSend>,
+) -> Result<Vec<String>, String> {
+    let store = bucket(context, fleet, replicas).await?;
+    let mut sent = Vec::new();
+    for FileToSend { name, content } in files {
+        let meta = ObjectMetadata { name: object_name(cell, job, &name), ..ObjectMetadata::default() };
+        let put = match content {
+            Content::Bytes(bytes) => store.put(meta, &mut Blocking(bytes.as_slice())).await,
+            Content::File(path) => {
+                let fault = |error: std::io::Error| format!("{name}: {error}");
+                let file = File::open(&path).map_err(fault)?;
+                let size = file.metadata().map_err(fault)?.len();
+                if size > FILE_BYTES_MAX {
+                    return Err(format!(
+                        "{name} has {size} bytes, more than the fleet carries; fetch it at the cell"
+                    ));
+                }
+                // One that still grows is sent as far as it is now.
+                store.put(meta, &mut Blocking(file.take(size))).await
+            }
+        };
+        put.map_err(|error| refusal_sentence("files", &error.to_string()))?;
+        sent.push(name);
+    }
+    Ok(sent)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_is_no_path() {
+        for name in ["plan.svg", "a-1_b.mcap", &"a".repeat(200)] {
+            assert!(is_file_name(name), "{name}");
+        }
+        for name in ["", ".", "..", "../x", "a/b", ".x", "a b", "a\0", "ä", &"a".repeat(201)] {
+            assert!(!is_file_name(name), "{name:?}");
+        }
+        assert!(FileKind::ALL.into_iter().all(|kind| FileKind::of(kind.as_str()) == Some(kind)));
+    }
+}
