@@ -19,12 +19,16 @@ use async_nats::jetstream::kv::Entry;
 use async_nats::jetstream::message::PublishMessage;
 use futures_util::StreamExt;
 use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
-use tokio::sync::mpsc;
+use tokio::sync::mpsc::{self, UnboundedReceiver};
 use tokio::time::timeout;
 
 /// Longer than a cell takes to answer an order: the arm may have to stop first.
 const ORDER_WITHIN: Duration = Duration::from_secs(20);
+
+/// While an answer is awaited, how often it is looked whether one will come.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
 
 /// A large recording over a slow network.
 const FILES_WITHIN: Duration = Duration::from_secs(600);
@@ -35,6 +39,8 @@ pub struct Client {
     pub(crate) user: String,
     pub(crate) connection: Connection,
     pub(crate) server: Server,
+    /// What the connection says by itself, such as that something is not permitted.
+    said: Mutex<UnboundedReceiver<async_nats::Event>>,
 }
 
 /// A cell with the age of its state.
@@ -83,10 +89,43 @@ impl Client {
         user: &str,
         storage: Storage,
     ) -> Result<Client, ConnectFault> {
-        let (events, _) = mpsc::unbounded_channel();
+        let (events, said) = mpsc::unbounded_channel();
         let connection = connect(access, events).await?;
         let server = open(&connection, &fleet, storage).await?;
-        Ok(Client { fleet, user: user.to_string(), connection, server })
+        Ok(Client { fleet, user: user.to_string(), connection, server, said: Mutex::new(said) })
+    }
+
+    /// What the server has said about permissions since the last look.
+    fn refused(&self) -> Option<String> {
+        let mut said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut refused = None;
+        while let Ok(event) = said.try_recv() {
+            if let async_nats::Event::ServerError(error) = event {
+                refused = Some(error.to_string()).filter(|text| text.to_lowercase().contains("permission"));
+            }
+        }
+        refused
+    }
+
+    /// Waits for an answer about something. What the server does not permit it leaves unanswered, and says
+    /// so beside: then nothing is waited for.
+    ///
+    /// # Errors
+    /// It is not permitted.
+    pub(crate) async fn permitted<T>(&self, about: &str, work: impl Future<Output = T>) -> Result<T, String> {
+        // Of an earlier request, perhaps.
+        self.refused();
+        let mut work = std::pin::pin!(work);
+        loop {
+            match timeout(LOOK_EVERY, &mut work).await {
+                Ok(answer) => return Ok(answer),
+                Err(_) => {
+                    if let Some(text) = self.refused() {
+                        return Err(refusal_sentence(about, &text));
+                    }
+                }
+            }
+        }
     }
 
     /// The fleet's name.
@@ -119,7 +158,7 @@ impl Client {
             let stored = self.server.context.send_publish(subject, message).await.map_err(text)?;
             stored.await.map_err(text)
         };
-        match timeout(ANSWER_WITHIN, sent).await {
+        match self.permitted("the queue", timeout(ANSWER_WITHIN, sent)).await? {
             Ok(Ok(stored)) => Ok(!stored.duplicate),
             Ok(Err(message)) => Err(refusal_sentence("the queue", &message)),
             Err(_) => Err(format!(
@@ -297,7 +336,10 @@ impl Client {
         if !self.cells().await?.iter().any(|shown| shown.name == cell) {
             return Err(format!("no cell {cell} is in the fleet"));
         }
-        self.server.cells.delete(cell).await.map_err(text)
+        match self.permitted("the cells", timeout(ANSWER_WITHIN, self.server.cells.delete(cell))).await? {
+            Ok(deleted) => deleted.map_err(text),
+            Err(_) => Err("the server did not answer; try again".to_string()),
+        }
     }
 
     /// Gives a job to another cell, or to whichever takes it. `seen_to`: the person has looked at the table
@@ -334,8 +376,8 @@ impl Client {
 
     async fn wish(&self, key: &Key, wish: &Wish) -> Result<(), String> {
         let bytes = encode(wish).map_err(text)?;
-        let put = timeout(ANSWER_WITHIN, self.server.claims.put(key.to_string(), bytes.into())).await;
-        match put {
+        let put = timeout(ANSWER_WITHIN, self.server.claims.put(key.to_string(), bytes.into()));
+        match self.permitted("the wish", put).await? {
             Ok(Ok(_)) => Ok(()),
             Ok(Err(error)) => Err(refusal_sentence("the wish", &error.to_string())),
             Err(_) => Err("the server did not answer; try again".to_string()),
@@ -371,7 +413,8 @@ impl Client {
         let bytes = encode(ask).map_err(text)?;
         let subject = self.fleet.ask(cell, asked, &self.user);
         let request = async_nats::Request::new().payload(bytes.into()).timeout(Some(within));
-        let answer = self.connection.send_request(subject, request).await.map_err(|error| {
+        let answer = self.permitted("to cells", self.connection.send_request(subject, request)).await?;
+        let answer = answer.map_err(|error| {
             format!("cell {cell} does not answer ({error}); nothing is known of the order")
         })?;
         decode(&answer.payload).map_err(text)

@@ -26,11 +26,12 @@ impl Client {
             Fragment { version: VERSION, text: content.to_string(), sha256: sha256(content), unix_s };
         let bytes = encode(&fragment).map_err(text)?;
         let key = target.config_key(&self.user);
-        match timeout(ANSWER_WITHIN, self.server.config.put(key, bytes.into())).await {
+        let put = timeout(ANSWER_WITHIN, self.server.config.put(key, bytes.into()));
+        match self.permitted("shared configuration", put).await? {
             Ok(Ok(revision)) => Ok(revision),
             Ok(Err(error)) => Err(refusal_sentence("shared configuration", &error.to_string())),
             Err(_) => {
-                Err("the server did not answer; see `celld fleet config` for what is there".to_string())
+                Err("the server did not answer; `celld fleet config show` has what is there".to_string())
             }
         }
     }

@@ -7,6 +7,8 @@
 
 #[path = "server/bench.rs"]
 mod bench;
+#[path = "server/documented.rs"]
+mod documented;
 
 use bench::{Cell, STORAGE, Server, client, fleet, program, until};
 use cell_fleet::changes::Change;

@@ -49,7 +49,8 @@ function drawCell(cell) {
     state.hint && !cell.away && h("p", { class: "hint" }, "→ ", state.hint),
     alarm, approvals(cell), progress(state),
     state.fragment ? h("p", { class: "soft" }, t("shared configuration {number}", { number: state.fragment })) : null,
-    state.undelivered ? h("p", { class: "soft" }, t("{count} events wait for the network", { count: state.undelivered })) : null,
+    // Some are always on their way.
+    state.undelivered > 20 ? h("p", { class: "soft" }, t("{count} events wait for the network", { count: state.undelivered })) : null,
     h("dl", {},
       h("dt", {}, t("jobs")), h("dd", {}, t("{done} done, {failed} failed", counts)),
       h("dt", {}, t("moves / bound")), h("dd", {}, bound(counts.moves, counts.bound)),
@@ -86,7 +87,7 @@ function drawBar(fleet) {
     h("span", { id: "sums" },
       h("span", {}, t("{count} cells", { count: fleet.cells.length }), `, ${t("{count} away", { count: sum((cell) => cell.away ? 1 : 0) })}`),
       h("span", {}, t("{count} jobs wait", { count: waiting })),
-      h("span", {}, `${t("last {time}", { time: duration(fleet.window_s) })}: ${t("{done} done, {failed} failed", { done: sum((cell) => cell.counts.done), failed: sum((cell) => cell.counts.failed) })}, ${number(sum((cell) => cell.away ? 0 : cell.counts.moves_per_hour))} ${t("moves an hour")}`)),
+      h("span", {}, `${t("last {hours} h", { hours: number(fleet.window_s / 3600, 0) })}: ${t("{done} done, {failed} failed", { done: sum((cell) => cell.counts.done), failed: sum((cell) => cell.counts.failed) })}, ${number(sum((cell) => cell.away ? 0 : cell.counts.moves_per_hour))} ${t("moves an hour")}`)),
     h("p", { id: "stale", role: "alert", hidden: !wrong }, wrong));
 }
 

@@ -262,6 +262,7 @@ pub struct Cell {
     access: Access,
     takes: Duration,
     pub refuses: String,
+    pub fleet: Fleet,
     running: Option<(Arc<AtomicBool>, oneshot::Sender<()>, JoinHandle<()>)>,
 }
 
@@ -270,12 +271,12 @@ impl Cell {
         let folder = tempfile::tempdir().unwrap();
         let (disk, takes) = (Arc::default(), Duration::from_millis(takes_ms));
         let name = name.to_string();
-        Cell { name, folder, disk, access, takes, refuses: String::new(), running: None }
+        Cell { name, folder, disk, access, takes, refuses: String::new(), fleet: fleet(), running: None }
     }
 
     pub fn up(&mut self) {
         let settings = Settings {
-            fleet: fleet(),
+            fleet: self.fleet.clone(),
             cell: self.name.clone(),
             labels: vec!["line".to_string()],
             access: self.access.clone(),
