@@ -48,7 +48,7 @@ PACKAGES_BUILT := $(BUILD)/packages
 MOST_MEGABYTES := 15
 
 .PHONY: help setup clients demo try test test-cases test-clients test-clients-many test-page bench-page book bench figures
-.PHONY: fuzz fuzz-corpus demo-fleet bench-fleet setup-fleet test-fleet tidy
+.PHONY: fuzz fuzz-corpus demo-fleet bench-fleet setup-fleet test-fleet test-cluster bench-cluster check-slurm tidy
 .PHONY: release install uninstall deb test-deb sim-static wheel image test-wheel test-image
 
 help:
@@ -62,6 +62,9 @@ help:
 	@echo "make bench-page                     what viewers of the page cost the loop and the processor (ten minutes)"
 	@echo "make test-fleet                     many cells against a real NATS server (installs it)"
 	@echo "make bench-fleet                    100 cells and a NATS server, all killed at random: is each job done once?"
+	@echo "make test-cluster                   benchmarks over HyperQueue's workers on this computer (installs it)"
+	@echo "make bench-cluster                  how much quicker two of its workers are than one"
+	@echo "make check-slurm                    the same over Slurm, one node, set up for it (root; installs it)"
 	@echo "make test-clients                   other people's clients against the simulator (installs them), and test-wheel"
 	@echo "make test-clients-many [RUNS=1000]  those scripts again and again, PARALLEL=20 at a time"
 	@echo "make sim-static                     the simulator alone, one file that runs on any Linux"
@@ -304,6 +307,38 @@ test-fleet: setup setup-fleet
 	fi
 	cargo build $(TESTED) --features fleet --bin celld --test tidy
 	python3 -B tests/fleet/demo.py $(BUILD)/debug/celld $(FLEET)/bin/nats-server $(FLEET)/demo
+
+# Benchmarks over many machines: HyperQueue's Python API, which has server and workers inside, in an
+# environment of its own.
+CLUSTER := $(BUILD)/cluster
+
+$(CLUSTER)/installed.txt: tests/cluster/requirements.txt
+	@$(call install,python3-venv)
+	@echo "test-cluster: installing $$(grep -v '^#' $< | tr '\n' ' ')"
+	@rm -rf $(CLUSTER); python3 -m venv $(CLUSTER)
+	@$(CLUSTER)/bin/pip install --quiet --disable-pip-version-check --no-deps -r $<
+	@cp $< $@
+
+# Built as for `test-page`, so that nothing is built twice.
+test-cluster: setup $(CLUSTER)/installed.txt
+	cargo build $(TESTED) --bin celld --test tidy
+	@cd tests/cluster && CELLD_BINARY=$(BUILD)/debug/celld \
+	  $(CLUSTER)/bin/python -B -m pytest -q -p no:cacheprovider --durations=5
+
+# Figures, none of them judged: the cells of one figure with one worker and with two. A work limit, so that
+# both do the same; a minute or two.
+SPEEDUP ?= --figure rand-pp --solver auto --count 20 --work 300000 --time-limit 600
+
+bench-cluster: setup $(CLUSTER)/installed.txt
+	cargo build --release --bin celld
+	$(CLUSTER)/bin/python -B benches/cluster/on_hyperqueue.py --celld $(BUILD)/release/celld --shards 16 \
+	  --speedup 1,2 -- $(SPEEDUP)
+
+# Slurm's daemons need root; they are those of Debian, in a folder of their own, and end with the check.
+check-slurm: setup $(CLUSTER)/installed.txt
+	@$(call install,slurm-wlm munge)
+	cargo build $(TESTED) --bin celld --test tidy
+	$(CLUSTER)/bin/python -B tests/cluster/slurm_node.py $(BUILD)/debug/celld
 
 # With the features that the libraries have in `make test` too (a test target adds those of the tests), so
 # that nothing is built for the page alone.
