@@ -5,7 +5,7 @@
 //! configuration or calibration files are exit 2, before any device is touched; a second daemon on one state
 //! folder is 1.
 
-use crate::cli::in_fleet::{Anew, Parts, Shared, fleet, start_with};
+use crate::cli::in_fleet::{Anew, Parts, Shared, fleet, is_to_start_disarmed, start_with, take_shared};
 use crate::config::calibrated::{measured, read_calibration};
 use crate::config::cell::CellConfig;
 use crate::config::empty::compare_with_empty;
@@ -79,7 +79,7 @@ pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
         let calibration = read_calibration(&config)?;
         refuse_recorded_camera(&config)?;
         cell_objects(&config).map_err(|error| error.to_string())?;
-        config.arm_at_start &= !args.disarmed;
+        config.arm_at_start &= !(is_to_start_disarmed(&args.state) || args.disarmed);
         Ok((config, shared, calibration))
     });
     let (config, shared, calibration) = match read {
@@ -99,10 +99,12 @@ pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
         }
     };
     let begin = Begin { config, config_file: args.config.clone(), shared, calibration, state, seed };
-    let anew = Anew::default();
+    let (anew, state, simulated) = (Anew::default(), begin.state.clone(), begin.config.simulation.is_some());
+    watch_for_the_end(anew.clone());
     let code = with_runtime(stop, |stop| daemon(begin, anew.clone(), stop));
+    let next = anew.next(code, || take_shared(&state));
     drop(lock);
-    anew.start_if_wanted().unwrap_or(code)
+    next.carry_out(simulated)
 }
 
 /// What the daemon begins with.
@@ -172,6 +174,19 @@ where
     }
 }
 
+/// Whoever ends celld does not find it running again, also where the signal comes while it ends: on a thread
+/// that outlives the daemon's.
+fn watch_for_the_end(anew: Anew) {
+    let watch = move || {
+        if let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_all().build() {
+            runtime.block_on(end_requested());
+            anew.never();
+        }
+    };
+    // Without it a signal in the last moment is lost; those before stop the daemon all the same.
+    let _ = std::thread::Builder::new().name("signals".into()).spawn(watch);
+}
+
 /// Returns at Ctrl-C and at SIGTERM, which `kill` and service managers send.
 async fn end_requested() {
     let Ok(mut terminate) = signal(SignalKind::terminate()) else {
@@ -228,11 +243,6 @@ async fn shell_when_named(
 }
 
 async fn daemon(begin: Begin, anew: Anew, stop: Arc<AtomicBool>) -> Result<(), String> {
-    let ended_by_a_person = anew.clone();
-    tokio::spawn(async move {
-        end_requested().await;
-        ended_by_a_person.never();
-    });
     let (beats, stopped) = (Beats::default(), || stop.load(Ordering::Relaxed));
     let watchdog = Watchdog::start(beats.clone());
     let Opened { mut keeper, orders, feed, film } = opened(&begin, name_of(begin.seed), &anew, &stop)?;
@@ -276,7 +286,8 @@ async fn daemon(begin: Begin, anew: Anew, stop: Arc<AtomicBool>) -> Result<(), S
     starting.rests();
     let recorder = config.recording.as_ref().map(|to| recorder::start(to, Some(lens))).transpose()?;
     let mut lines = Lines { recorder, pictures, watchdog, feed: feed.observer().with_film(film.clone()) };
-    let ended = shell.run(&mut lines, &stop).await.map_err(|error| error.to_string());
+    let ends = |quiet| stop.load(Ordering::Relaxed) || anew.begins(quiet);
+    let ended = shell.run(&mut lines, &ends).await.map_err(|error| error.to_string());
     lines.watchdog.stopping();
     if let Some(fault) = lines.recorder.as_mut().and_then(Recorder::close) {
         tracing::warn!("recording: {fault}");
@@ -348,7 +359,7 @@ fn opened(begin: &Begin, name: String, anew: &Anew, stop: &Arc<AtomicBool>) -> R
         published.status(status);
         told(status);
     };
-    let keeper = keeper.published(Box::new(publish), remarks);
+    let keeper = keeper.published(Box::new(publish), remarks).sharing(shared.name());
     let orders = Sources::of(vec![Box::new(in_folder.with_office(office)), Box::new(at_page)]);
     Ok(Opened { keeper, orders, feed, film })
 }

@@ -14,57 +14,143 @@ use crate::page::orders::Desk;
 use cell_edge::terminal::complain;
 use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 
-const NO: u8 = 0;
-const WANTED: u8 = 1;
-const NEVER: u8 = 2;
+/// The code with which a service manager starts celld again: a shared part of the configuration was taken.
+pub const ANEW: u8 = 75;
 
-/// Whether celld starts anew once it has stopped: whoever ends it does not find it running again.
+#[cfg(feature = "fleet")]
+const NO: u8 = 0;
+const PROPOSED: u8 = 1;
+const BEGUN: u8 = 2;
+const NEVER: u8 = 3;
+
+/// Whether celld starts anew, with another shared part of its configuration. The fleet proposes it; the
+/// daemon's loop begins it, in a turn in which the cell is idle and disarmed; whoever ends celld does not
+/// find it running again.
 #[derive(Clone, Default)]
 pub struct Anew(Arc<AtomicU8>);
 
 impl Anew {
-    /// It should, unless a person ends it.
-    pub fn want(&self) {
-        // Otherwise it is ended by a person.
-        let _ = self.0.compare_exchange(NO, WANTED, Ordering::Relaxed, Ordering::Relaxed);
+    fn change(&self, from: u8, to: u8) -> bool {
+        self.0.compare_exchange(from, to, Ordering::SeqCst, Ordering::SeqCst).is_ok()
     }
 
-    /// A person ends it.
+    /// It is proposed, or not any more.
+    #[cfg(feature = "fleet")]
+    pub fn propose(&self, wanted: bool) {
+        let (from, to) = if wanted { (NO, PROPOSED) } else { (PROPOSED, NO) };
+        // Otherwise it is so already, or it has begun, or celld is ended by a person.
+        self.change(from, to);
+    }
+
+    /// Whether it begins in this turn: it was proposed, and the cell is `quiet`.
+    pub fn begins(&self, quiet: bool) -> bool {
+        quiet && self.change(PROPOSED, BEGUN)
+    }
+
+    /// A person ends celld.
     pub fn never(&self) {
-        self.0.store(NEVER, Ordering::Relaxed);
+        self.0.store(NEVER, Ordering::SeqCst);
     }
 
-    /// This program again, with the same arguments and disarmed: whoever has disarmed the cell does not find
-    /// it armed because a configuration was taken. `None` where it just ends; a code where it could not.
-    pub fn start_if_wanted(&self) -> Option<u8> {
-        if self.0.load(Ordering::Relaxed) != WANTED {
-            return None;
+    /// What follows an end with this code. `take` makes what was staged the configuration of the next start.
+    pub fn next(&self, code: u8, take: impl FnOnce() -> Result<(), String>) -> NextStart {
+        if code != 0 || self.0.load(Ordering::SeqCst) != BEGUN {
+            return NextStart::None(code);
         }
-        let mut arguments: Vec<OsString> = std::env::args_os().skip(1).collect();
-        if !arguments.iter().any(|argument| argument == "--disarmed") {
-            arguments.push("--disarmed".into());
+        match take() {
+            Ok(()) => NextStart::Anew,
+            // With what it ran with before: a cell is not lost to its fleet's configuration.
+            Err(fault) => {
+                complain(&format!("the shared part of the configuration is not taken: {fault}"));
+                NextStart::Anew
+            }
         }
-        let error = match std::env::current_exe() {
-            Ok(celld) => Command::new(celld).args(arguments).exec(),
-            Err(error) => error,
-        };
-        complain(&format!("celld could not start anew: {error}"));
-        Some(1)
     }
+}
+
+/// What follows the end of the daemon.
+#[derive(Debug, PartialEq, Eq)]
+pub enum NextStart {
+    /// Nothing: this exit code.
+    None(u8),
+    /// celld with another shared part of its configuration.
+    Anew,
+}
+
+impl NextStart {
+    /// The exit code; or this program again. A service manager starts it by the code. By itself it only does
+    /// so where all devices are simulated: a camera's handle could outlive this process in the next.
+    pub fn carry_out(self, simulated: bool) -> u8 {
+        match self {
+            NextStart::None(code) => code,
+            NextStart::Anew if std::env::var_os("NOTIFY_SOCKET").is_some() => ANEW,
+            NextStart::Anew if simulated => {
+                let arguments: Vec<OsString> = std::env::args_os().skip(1).collect();
+                let error = Command::new("/proc/self/exe").args(arguments).exec();
+                complain(&format!("celld could not start anew: {error}"));
+                1
+            }
+            NextStart::Anew => {
+                complain(
+                    "a shared part of the configuration was taken, and celld has ended: start it again. As a \
+                     service it starts by itself (docs/operation.md)",
+                );
+                ANEW
+            }
+        }
+    }
+}
+
+/// A start that celld makes by itself is disarmed, whatever `arm_at_start` says: whoever has disarmed the
+/// cell does not find it armed because a configuration was taken.
+fn disarmed_mark(state: &Path) -> PathBuf {
+    state.join("start-disarmed")
+}
+
+/// Whether this start is one that celld made by itself; the next one is not.
+pub fn is_to_start_disarmed(state: &Path) -> bool {
+    let mark = disarmed_mark(state);
+    // One that cannot be removed keeps the next starts disarmed too.
+    mark.exists() && {
+        let _ = std::fs::remove_file(&mark);
+        true
+    }
+}
+
+/// Makes what was staged the configuration of the next start, which is disarmed.
+///
+/// # Errors
+/// What the disk says.
+pub fn take_shared(state: &StateFolder) -> Result<(), String> {
+    let mark = disarmed_mark(state.root());
+    std::fs::write(&mark, b"").map_err(|error| format!("{}: {error}", mark.display()))?;
+    #[cfg(feature = "fleet")]
+    crate::fleet::fragment::take_staged(state.root())?;
+    Ok(())
 }
 
 /// What the configuration has of a fleet's shared part.
 #[derive(Clone, Debug, Default)]
 pub struct Shared {
-    /// Its number.
-    pub runs: Option<u64>,
-    /// Why a kept one is not in it.
-    pub fault: Option<String>,
+    #[cfg(feature = "fleet")]
+    runs: Option<crate::fleet::fragment::KeptFragment>,
+    #[cfg(feature = "fleet")]
+    fault: Option<String>,
+}
+
+impl Shared {
+    /// The shared part, for people; none where the cell runs with its own file alone.
+    pub fn name(&self) -> Option<String> {
+        #[cfg(feature = "fleet")]
+        return self.runs.as_ref().map(crate::fleet::fragment::KeptFragment::name);
+        #[cfg(not(feature = "fleet"))]
+        None
+    }
 }
 
 /// The configuration, with what the cell has taken of its fleet.
@@ -74,6 +160,9 @@ pub struct Shared {
 #[cfg(feature = "fleet")]
 pub fn start_with(config: &Path, state: &Path) -> Result<(CellConfig, Shared), String> {
     let start = crate::fleet::fragment::start_with(config, state)?;
+    if let Some(shared) = &start.runs {
+        tracing::info!("fleet: the configuration is {} with {}", config.display(), shared.name());
+    }
     Ok((start.config, Shared { runs: start.runs, fault: start.fault }))
 }
 
@@ -90,6 +179,7 @@ pub fn start_with(config: &Path, _state: &Path) -> Result<(CellConfig, Shared), 
 pub type Told = Box<dyn Fn(&Status) + Send>;
 
 /// What the cell's part in its fleet works with.
+#[cfg_attr(not(feature = "fleet"), expect(dead_code, reason = "a cell that is in no fleet"))]
 pub struct Parts<'a> {
     /// The configuration, with its shared part.
     pub config: &'a CellConfig,
@@ -120,7 +210,7 @@ pub fn fleet(parts: Parts) -> Result<Told, String> {
     use crate::fleet::fragment::Follower;
     let Some(section) = &parts.config.fleet else { return Ok(Box::new(|_| {})) };
     let Shared { runs, fault } = parts.shared;
-    let (anew, stop) = (parts.anew, parts.stop.clone());
+    let anew = parts.anew;
     let daemon = crate::fleet::side::Daemon {
         config: parts.config.clone(),
         state: parts.state.clone(),
@@ -128,10 +218,7 @@ pub fn fleet(parts: Parts) -> Result<Told, String> {
         desk: parts.desk.clone(),
         remarks: parts.remarks.clone(),
         fragments: Follower::new(parts.config_file, parts.state.root(), runs, fault),
-        start_anew: Box::new(move || {
-            anew.want();
-            stop.store(true, Ordering::Relaxed);
-        }),
+        start_anew: Box::new(move |wanted| anew.propose(wanted)),
         stop: parts.stop,
     };
     let statuses = crate::fleet::start::start(section, daemon)?;
@@ -154,20 +241,37 @@ pub fn fleet(parts: Parts) -> Result<Told, String> {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "fleet"))]
 mod tests {
     use super::*;
 
     #[test]
-    fn whoever_ends_celld_does_not_find_it_running_again() {
+    fn it_begins_in_a_quiet_turn_and_not_where_a_person_ends_celld() {
         let anew = Anew::default();
-        assert!(anew.start_if_wanted().is_none());
+        assert!(!anew.begins(true), "nothing is proposed");
+        anew.propose(true);
+        assert!(!anew.begins(false), "the cell is armed, say");
+        anew.propose(false);
+        assert!(!anew.begins(true), "it is not wanted any more");
+        anew.propose(true);
+        assert!(anew.begins(true) && !anew.begins(true), "once");
+        anew.propose(false);
+        assert_eq!(anew.next(0, || Ok(())), NextStart::Anew);
+        assert_eq!(anew.next(1, || Ok(())), NextStart::None(1), "it ended with a fault");
         anew.never();
-        anew.want();
-        assert!(anew.start_if_wanted().is_none(), "it would have been this test's program");
+        assert_eq!(anew.next(0, || panic!("nothing is taken")), NextStart::None(0));
         let anew = Anew::default();
-        anew.want();
+        anew.propose(true);
         anew.never();
-        assert!(anew.start_if_wanted().is_none());
+        assert!(!anew.begins(true));
+    }
+
+    #[test]
+    fn the_start_that_follows_is_disarmed_and_the_one_after_is_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let state = StateFolder::new(folder.path());
+        assert!(!is_to_start_disarmed(state.root()));
+        take_shared(&state).unwrap();
+        assert!(is_to_start_disarmed(state.root()) && !is_to_start_disarmed(state.root()));
     }
 }

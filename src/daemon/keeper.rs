@@ -84,6 +84,8 @@ pub struct StateKeeper {
     publish: Publish,
     /// What the cell's part in a fleet has to say in it.
     remarks: status::Remarks,
+    /// The shared part of the configuration, for people.
+    shared: Option<String>,
 }
 
 /// Is given each status; must not block.
@@ -140,12 +142,18 @@ impl StateKeeper {
             pruned: None,
             publish: Box::new(|_| {}),
             remarks: status::Remarks::default(),
+            shared: None,
         })
     }
 
     /// With somewhere else that each status goes, and what the cell's part in a fleet has to say in it.
     pub fn published(self, publish: Publish, remarks: status::Remarks) -> StateKeeper {
         StateKeeper { publish, remarks, ..self }
+    }
+
+    /// What of the configuration is shared with other cells, in words.
+    pub fn sharing(self, shared: Option<String>) -> StateKeeper {
+        StateKeeper { shared, ..self }
     }
 
     /// With pictures for the folders of jobs, and for whoever reads the status: the name of the

@@ -21,6 +21,7 @@ use cell_edge::clock::Clock;
 use cell_machine::device::robot_types::RobotState;
 use cell_machine::event::{Arm, Effect, Event, News};
 use cell_machine::machine::{Machine, MachineParameters};
+use cell_machine::supervisor::cell::Supervisor;
 use cell_machine::supervisor::input::Notice;
 use cell_machine::supervisor::mode::EndFault;
 use cell_machine::supervisor::model::CellModel;
@@ -302,18 +303,25 @@ impl Shell {
         }
     }
 
-    /// Works until `shutdown` is raised and the arm is at rest, or the state folder is lost.
+    /// Works until `shutdown` says so and the arm is at rest, or the state folder is lost. `shutdown` is
+    /// asked in every turn, and given whether the cell is disarmed with nothing under way.
     ///
     /// # Errors
     /// [`EndFault`]; the arm was stopped.
-    pub async fn run(mut self, observer: &mut dyn Observer, shutdown: &AtomicBool) -> Result<(), EndFault> {
+    pub async fn run(
+        mut self,
+        observer: &mut dyn Observer,
+        shutdown: &dyn Fn(bool) -> bool,
+    ) -> Result<(), EndFault> {
         let mut ending = false;
         let ended = loop {
             self.turn(observer).await;
             if let Some(ended) = self.outcome.end.take() {
                 break ended;
             }
-            if shutdown.load(Ordering::Relaxed) && !std::mem::replace(&mut ending, true) {
+            let quiet = self.machine.supervisor().is_some_and(Supervisor::is_quiet);
+            if !ending && shutdown(quiet) {
+                ending = true;
                 self.between_turns(Event::Shutdown);
             }
         };

@@ -10,13 +10,14 @@ use crate::config::cell::CellConfig;
 use crate::config::load::{load_cell, load_cell_with};
 use crate::config::read_fragment::read_fragment;
 use crate::config::setup::cell_objects;
-use cell_edge::files::{FileError, read_regular, write_atomic};
+use cell_edge::files::{read_regular, write_atomic};
 use cell_fleet::fragments::{FRAGMENT_MAX, Published, Wanted};
+use cell_fleet::payloads::sentence;
 use rearrange::document::chain::chain;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// What is kept in the state folder.
+/// A shared part as it lies in the state folder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KeptFragment {
     /// Its number in the fleet.
@@ -25,15 +26,21 @@ pub struct KeptFragment {
     pub target: String,
     /// By whom.
     pub by: String,
-    /// YAML.
+    /// YAML; empty in a staged one: the cell's own file alone.
     pub text: String,
 }
 
 /// Larger than any that was taken, in JSON.
-const FILE_MAX: u64 = 4 * FRAGMENT_MAX as u64;
+const FILE_MAX: u64 = 8 * FRAGMENT_MAX as u64;
 
-fn file(state: &Path) -> PathBuf {
+/// What the cell runs with.
+fn kept_file(state: &Path) -> PathBuf {
     state.join("fleet-fragment.json")
+}
+
+/// What it runs with after the next start that the daemon makes by itself.
+fn staged_file(state: &Path) -> PathBuf {
+    state.join("fleet-fragment.next.json")
 }
 
 impl KeptFragment {
@@ -46,7 +53,8 @@ impl KeptFragment {
         }
     }
 
-    fn name(&self) -> String {
+    /// For people.
+    pub fn name(&self) -> String {
         format!("fragment {} of {} by {}", self.revision, self.target, self.by)
     }
 }
@@ -57,10 +65,12 @@ impl KeptFragment {
 /// Every complaint.
 pub fn checked(config: &Path, kept: &KeptFragment) -> Result<CellConfig, String> {
     let shared = read_fragment(&kept.text, &kept.name()).map_err(|fault| fault.to_string())?;
-    let cell =
-        load_cell_with(config, Some(&shared)).map_err(|fault| format!("with {}: {fault}", kept.name()))?;
+    let with = |fault: &dyn std::fmt::Display| {
+        format!("with {} (what it shares counts its own lines): {fault}", kept.name())
+    };
+    let cell = load_cell_with(config, Some(&shared)).map_err(|fault| with(&fault))?;
     read_calibration(&cell)?;
-    cell_objects(&cell).map_err(|fault| format!("with {}: {fault}", kept.name()))?;
+    cell_objects(&cell).map_err(|fault| with(&fault))?;
     Ok(cell)
 }
 
@@ -68,8 +78,8 @@ pub fn checked(config: &Path, kept: &KeptFragment) -> Result<CellConfig, String>
 pub struct Start {
     /// Its configuration.
     pub config: CellConfig,
-    /// Number of the shared part in it.
-    pub runs: Option<u64>,
+    /// The shared part in it.
+    pub runs: Option<KeptFragment>,
     /// Why a kept one is not in it.
     pub fault: Option<String>,
 }
@@ -81,13 +91,13 @@ pub struct Start {
 pub fn start_with(config: &Path, state: &Path) -> Result<Start, String> {
     let own = load_cell(config).map_err(|error| error.to_string())?;
     let kept = match own.fleet {
-        Some(_) => kept(state),
+        Some(_) => read(&kept_file(state)),
         None => Ok(None),
     };
     let fault = match kept {
         Ok(None) => return Ok(Start { config: own, runs: None, fault: None }),
         Ok(Some(kept)) => match checked(config, &kept) {
-            Ok(config) => return Ok(Start { config, runs: Some(kept.revision), fault: None }),
+            Ok(config) => return Ok(Start { config, runs: Some(kept), fault: None }),
             Err(fault) => fault,
         },
         Err(fault) => fault,
@@ -96,47 +106,55 @@ pub fn start_with(config: &Path, state: &Path) -> Result<Start, String> {
     Ok(Start { config: own, runs: None, fault: Some(fault) })
 }
 
-fn kept(state: &Path) -> Result<Option<KeptFragment>, String> {
-    let path = file(state);
+fn read(path: &Path) -> Result<Option<KeptFragment>, String> {
     if !path.exists() {
         return Ok(None);
     }
     let fault = |error: String| format!("{}: {error}", path.display());
-    let (text, _) = read_regular(&path, FILE_MAX).map_err(|error| fault(chain(&error)))?;
+    let (text, _) = read_regular(path, FILE_MAX).map_err(|error| fault(chain(&error)))?;
     serde_json::from_str(&text).map(Some).map_err(|error| fault(error.to_string()))
 }
 
-/// Keeps what the next start begins with.
-///
-/// # Errors
-/// What the disk says.
-pub fn keep(state: &Path, wanted: Wanted) -> Result<(), String> {
-    let path = file(state);
-    match wanted {
-        Wanted::This(published) => {
-            let bytes =
-                serde_json::to_vec_pretty(&KeptFragment::of(published)).map_err(|error| error.to_string())?;
-            write_atomic(&path, &bytes).map_err(|error: FileError| chain(&error))
-        }
-        Wanted::None => match std::fs::remove_file(&path) {
-            Ok(()) => Ok(()),
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
-            Err(error) => Err(format!("{}: {error}", path.display())),
-        },
+fn remove(path: &Path) -> Result<(), String> {
+    match std::fs::remove_file(path) {
+        Ok(()) => Ok(()),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
+        Err(error) => Err(format!("{}: {error}", path.display())),
     }
 }
 
-/// Where the cell is with what the fleet wants; see [`Follower::next`].
+/// What was staged is what the cell runs with from the next start on. The state folder is this process's.
+///
+/// # Errors
+/// What the disk says; the cell runs with what it ran with.
+pub fn take_staged(state: &Path) -> Result<(), String> {
+    let staged = staged_file(state);
+    match read(&staged)? {
+        None => Ok(()),
+        Some(next) if next.text.is_empty() => {
+            remove(&kept_file(state))?;
+            remove(&staged)
+        }
+        Some(_) => std::fs::rename(&staged, kept_file(state))
+            .map_err(|error| format!("{}: {error}", staged.display())),
+    }
+}
+
+/// Which fragment, whatever server gave the number.
+type Identity = (u64, String);
+
+/// Where the cell is with what the fleet wants: checks it, stages it, and proposes a start with it. When
+/// that is decides the daemon's loop, in a turn in which the cell is idle and disarmed.
 #[derive(Debug)]
 pub struct Follower {
     config: PathBuf,
     state: PathBuf,
-    runs: Option<u64>,
-    /// Of the start.
+    runs: Option<KeptFragment>,
+    /// Why a kept one is not in what it runs with.
     fault: Option<String>,
     /// The one that was refused, and why.
-    refused: Option<(u64, String)>,
-    kept: bool,
+    refused: Option<(Identity, String)>,
+    staged: Option<Identity>,
 }
 
 /// What is to be done about the fragment.
@@ -144,62 +162,95 @@ pub struct Follower {
 pub enum Next {
     /// Nothing.
     Stay,
-    /// Wait until the cell is idle and disarmed, for this number; 0: for none.
-    Wait(u64),
+    /// It is staged: start anew with it as soon as the cell is idle and disarmed. Its number; 0: none.
+    Start(u64),
     /// It cannot be used.
     Fault(String),
-    /// It is kept: start anew.
-    StartAnew,
 }
 
 impl Follower {
     /// Of a cell that has started.
-    pub fn new(config: &Path, state: &Path, runs: Option<u64>, fault: Option<String>) -> Follower {
+    pub fn new(config: &Path, state: &Path, runs: Option<KeptFragment>, fault: Option<String>) -> Follower {
+        // Of an earlier run that ended before.
+        let _ = remove(&staged_file(state));
         let (config, state) = (config.to_path_buf(), state.to_path_buf());
-        Follower { config, state, runs, fault, refused: None, kept: false }
+        Follower { config, state, runs, fault, refused: None, staged: None }
     }
 
-    /// The one that the cell runs with.
+    /// Number of the one that the cell runs with.
     pub fn runs(&self) -> Option<u64> {
-        self.runs
+        self.runs.as_ref().map(|kept| kept.revision)
     }
 
-    /// What is to be done: `quiet` says that the cell is idle and disarmed, and that this is of now.
-    pub fn next(&mut self, wanted: Option<Wanted>, quiet: bool) -> Next {
-        let Some(wanted) = wanted else { return self.stays() };
-        let number = match wanted {
-            Wanted::This(published) => Some(published.revision),
-            Wanted::None => None,
-        };
-        if number == self.runs || self.kept {
-            return self.stays();
+    /// What is to be done.
+    pub fn next(&mut self, wanted: Option<Wanted>) -> Next {
+        match wanted {
+            Some(Wanted::This(published)) => self.with(&KeptFragment::of(published)),
+            Some(Wanted::None) => self.alone(),
+            None => self.stays(),
         }
-        if let Some((refused, reason)) = self.refused.as_ref().filter(|(refused, _)| Some(*refused) == number)
+    }
+
+    fn with(&mut self, wanted: &KeptFragment) -> Next {
+        if self
+            .runs
+            .as_ref()
+            .is_some_and(|kept| (kept.revision, &kept.text) == (wanted.revision, &wanted.text))
         {
-            return Next::Fault(format!("fragment {refused} is not taken: {reason}"));
+            return self.unstaged();
         }
-        if !quiet {
-            return Next::Wait(number.unwrap_or(0));
+        let identity = (wanted.revision, wanted.text.clone());
+        if self.staged.as_ref() == Some(&identity) {
+            return Next::Start(wanted.revision);
         }
-        let fits = match wanted {
-            Wanted::This(published) => checked(&self.config, &KeptFragment::of(published)).map(drop),
-            Wanted::None => load_cell(&self.config).map(drop).map_err(|error| error.to_string()),
-        };
-        match fits.and_then(|()| keep(&self.state, wanted)) {
-            Ok(()) => {
-                self.kept = true;
-                Next::StartAnew
+        if let Some((_, fault)) = self.refused.as_ref().filter(|(refused, _)| *refused == identity) {
+            return Next::Fault(fault.clone());
+        }
+        if let Err(reason) = checked(&self.config, wanted) {
+            let fault = sentence(&format!("fragment {} is not taken: {reason}", wanted.revision));
+            self.refused = Some((identity, fault.clone()));
+            return Next::Fault(fault);
+        }
+        self.stage(wanted, identity)
+    }
+
+    /// With the cell's own file and nothing else.
+    fn alone(&mut self) -> Next {
+        if self.runs.is_some() {
+            let none =
+                KeptFragment { revision: 0, target: String::new(), by: String::new(), text: String::new() };
+            return self.stage(&none, (0, String::new()));
+        }
+        // What is kept and did not fit is not wanted any more; it would come back once it fits.
+        if self.fault.is_some() && remove(&kept_file(&self.state)).is_ok() {
+            self.fault = None;
+        }
+        self.unstaged()
+    }
+
+    fn stage(&mut self, wanted: &KeptFragment, identity: Identity) -> Next {
+        if self.staged.as_ref() != Some(&identity) {
+            let bytes = serde_json::to_vec_pretty(wanted).unwrap_or_default();
+            if let Err(error) = write_atomic(&staged_file(&self.state), &bytes) {
+                // Not remembered: the disk may get room.
+                return Next::Fault(format!("fragment {}: {}", wanted.revision, chain(&error)));
             }
-            Err(reason) => {
-                let number = number.unwrap_or(0);
-                self.refused = Some((number, reason.clone()));
-                Next::Fault(format!("fragment {number} is not taken: {reason}"))
-            }
+            self.staged = Some(identity);
         }
+        Next::Start(wanted.revision)
+    }
+
+    /// What was staged is not wanted any more.
+    fn unstaged(&mut self) -> Next {
+        if self.staged.take().is_some() {
+            // Left there, it would be what the cell runs with already, or what it checks again.
+            let _ = remove(&staged_file(&self.state));
+        }
+        self.stays()
     }
 
     fn stays(&self) -> Next {
-        self.fault.clone().map_or(Next::Stay, Next::Fault)
+        self.fault.as_ref().map_or(Next::Stay, |fault| Next::Fault(sentence(fault)))
     }
 }
 
@@ -228,25 +279,32 @@ mod tests {
     }
 
     #[test]
-    fn it_is_taken_when_idle_and_disarmed_and_one_can_go_back() {
+    fn it_is_staged_and_taken_and_one_can_go_back() {
         let (_folder, config, state) = cell();
         let start = start_with(&config, &state).unwrap();
         assert_eq!((start.runs, start.config.planner.time_limit_s), (None, 2.0));
         let mut follower = Follower::new(&config, &state, None, None);
         let wanted = published(7, PLANNER);
-        assert_eq!(follower.next(None, true), Next::Stay);
-        assert_eq!(follower.next(Some(Wanted::This(&wanted)), false), Next::Wait(7));
-        assert!(start_with(&config, &state).unwrap().runs.is_none(), "nothing is kept of what waits");
-        assert_eq!(follower.next(Some(Wanted::This(&wanted)), true), Next::StartAnew);
-        assert_eq!(follower.next(Some(Wanted::This(&wanted)), true), Next::Stay, "once");
+        assert_eq!(follower.next(None), Next::Stay);
+        assert_eq!(follower.next(Some(Wanted::This(&wanted))), Next::Start(7));
+        assert_eq!(follower.next(Some(Wanted::This(&wanted))), Next::Start(7), "until the loop ends");
+        assert!(start_with(&config, &state).unwrap().runs.is_none(), "what is staged is not taken");
+        take_staged(&state).unwrap();
 
         let start = start_with(&config, &state).unwrap();
-        assert_eq!((start.runs, start.config.planner.time_limit_s), (Some(7), 3.0));
+        assert_eq!(start.config.planner.time_limit_s, 3.0);
+        assert_eq!(start.runs.as_ref().map(KeptFragment::name).unwrap(), "fragment 7 of label=any by anna");
         let mut follower = Follower::new(&config, &state, start.runs, None);
-        assert_eq!(follower.next(Some(Wanted::This(&wanted)), true), Next::Stay);
-        assert_eq!(follower.next(None, true), Next::Stay, "a server that has lost all changes nothing");
-        assert_eq!(follower.next(Some(Wanted::None), true), Next::StartAnew);
-        assert!(start_with(&config, &state).unwrap().runs.is_none());
+        assert_eq!(follower.next(Some(Wanted::This(&wanted))), Next::Stay);
+        assert_eq!(follower.next(None), Next::Stay, "a server that has lost all changes nothing");
+        let other = published(7, &PLANNER.replace("seed: 0", "seed: 1"));
+        assert_eq!(follower.next(Some(Wanted::This(&other))), Next::Start(7), "of another server");
+        assert_eq!(follower.next(Some(Wanted::This(&wanted))), Next::Stay, "and not any more");
+        take_staged(&state).unwrap();
+        assert_eq!(start_with(&config, &state).unwrap().config.planner.seed, 0);
+        assert_eq!(follower.next(Some(Wanted::None)), Next::Start(0));
+        take_staged(&state).unwrap();
+        assert!(start_with(&config, &state).unwrap().runs.is_none() && !staged_file(&state).exists());
     }
 
     #[test]
@@ -255,22 +313,28 @@ mod tests {
         let mut follower = Follower::new(&config, &state, None, None);
         let wrong = published(3, "version: 1\nlimits: {tool_speed_m_s: 1}\n");
         for _ in 0..2 {
-            let Next::Fault(fault) = follower.next(Some(Wanted::This(&wrong)), true) else { panic!("taken") };
+            let Next::Fault(fault) = follower.next(Some(Wanted::This(&wrong))) else { panic!("taken") };
             assert!(fault.contains("fragment 3") && fault.contains("limits"), "{fault}");
         }
-        assert!(!file(&state).exists());
-        let right = published(4, PLANNER);
-        assert_eq!(follower.next(Some(Wanted::This(&right)), true), Next::StartAnew);
+        assert!(!staged_file(&state).exists() && !kept_file(&state).exists());
+        let long = published(4, &format!("version: 1\n{}: 1\n", "\u{7f}".repeat(200_000)));
+        let Next::Fault(fault) = follower.next(Some(Wanted::This(&long))) else { panic!("taken") };
+        assert!(fault.chars().count() <= 2000, "it goes into the cell's state");
+        assert_eq!(follower.next(Some(Wanted::This(&published(5, PLANNER)))), Next::Start(5));
     }
 
     #[test]
-    fn a_kept_one_that_no_longer_fits_is_left_out_and_said() {
+    fn a_kept_one_that_no_longer_fits_is_left_out_said_and_withdrawn() {
         let (_folder, config, state) = cell();
         for spoilt in ["{", r#"{"revision":1,"target":"any","by":"a","text":"version: 1\nx: 1\n"}"#] {
-            std::fs::write(file(&state), spoilt).unwrap();
+            std::fs::write(kept_file(&state), spoilt).unwrap();
             let start = start_with(&config, &state).unwrap();
-            let fault = start.fault.unwrap();
+            let fault = start.fault.clone().unwrap();
             assert!(start.runs.is_none() && fault.contains("its own configuration alone"), "{fault}");
+            let mut follower = Follower::new(&config, &state, start.runs, start.fault);
+            assert!(matches!(follower.next(None), Next::Fault(_)));
+            assert_eq!(follower.next(Some(Wanted::None)), Next::Stay);
+            assert!(!kept_file(&state).exists(), "it does not come back once it fits");
         }
     }
 }

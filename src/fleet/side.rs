@@ -8,7 +8,7 @@ use crate::config::cell::CellConfig;
 use crate::daemon::job_orders::{found_by, job_context};
 use crate::fleet::files::files_of;
 use crate::fleet::fragment::{Follower, Next};
-use crate::fleet::told::{decided, events, is_idle, local, rejected, state_of};
+use crate::fleet::told::{decided, events, local, rejected, state_of};
 use crate::jobs::goal::read_goal_file;
 use crate::jobs::job_file::read_job;
 use crate::jobs::journal::Journal;
@@ -52,8 +52,8 @@ pub struct Daemon {
     pub remarks: Remarks,
     /// The shared part of the configuration.
     pub fragments: Follower,
-    /// Stops celld and has it start anew.
-    pub start_anew: Box<dyn Fn() + Send>,
+    /// Whether celld is to start anew once it is idle and disarmed.
+    pub start_anew: Box<dyn Fn(bool) + Send>,
     /// Stops celld.
     pub stop: Arc<AtomicBool>,
 }
@@ -255,20 +255,13 @@ impl CellSide for Side {
     }
 
     fn fragment(&mut self, wanted: Option<Wanted<'_>>) -> FragmentState {
-        let status = self.daemon.feed.last_status().filter(|_| self.daemon.feed.is_of_now());
-        let quiet = status.is_some_and(|status| is_idle(&status) && !status.armed);
         let state = FragmentState { runs: self.daemon.fragments.runs(), ..FragmentState::default() };
-        match self.daemon.fragments.next(wanted, quiet) {
+        let next = self.daemon.fragments.next(wanted);
+        (self.daemon.start_anew)(matches!(next, Next::Start(_)));
+        match next {
             Next::Stay => state,
-            Next::Wait(number) => FragmentState { waits: Some(number), ..state },
+            Next::Start(number) => FragmentState { waits: Some(number), ..state },
             Next::Fault(fault) => FragmentState { fault: Some(fault), ..state },
-            Next::StartAnew => {
-                tracing::info!(
-                    "fleet: a shared part of the configuration is taken; celld starts anew, disarmed"
-                );
-                (self.daemon.start_anew)();
-                state
-            }
         }
     }
 

@@ -6,7 +6,7 @@
 use crate::fleet::words::words;
 use cell_fleet::changes::Change;
 use cell_fleet::client::Shown;
-use cell_fleet::payloads::{CellState, Claim, ClaimState, Event, Outcome, What};
+use cell_fleet::payloads::{CellState, Claim, ClaimState, Event, Outcome, What, sentence};
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
 
@@ -26,6 +26,9 @@ const FAULTS: usize = 20;
 /// Claims that are remembered, and shown.
 const CLAIMS: usize = 20_000;
 const CLAIMS_SHOWN: usize = 100;
+
+/// Cells whose past is remembered.
+const CELLS: usize = 1000;
 
 /// Lines of what happened.
 const HAPPENED: usize = 200;
@@ -206,15 +209,19 @@ impl Board {
         if self.claims.len() <= CLAIMS {
             return;
         }
-        let time = |claim: &Claim| claim.job.submitted_unix_s;
-        let mut times: Vec<f64> = self.claims.values().map(time).collect();
-        times.sort_by(f64::total_cmp);
+        let mut by_time: Vec<(f64, String)> =
+            self.claims.values().map(|claim| (claim.job.submitted_unix_s, claim.job.id.clone())).collect();
+        by_time.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.cmp(&b.1)));
         // A tenth at a time: sorting them at every claim would be the work of a large fleet's page.
-        let oldest_kept = times.get(CLAIMS / 10).copied().unwrap_or(f64::MIN);
-        self.claims.retain(|_, claim| time(claim) >= oldest_kept);
+        for (_, id) in by_time.into_iter().take(CLAIMS / 10) {
+            self.claims.remove(&id);
+        }
     }
 
     fn event(&mut self, event: &Event) {
+        if self.histories.len() >= CELLS && !self.histories.contains_key(&event.cell) {
+            return;
+        }
         let history = self.histories.entry(event.cell.clone()).or_default();
         if history.last.0 == event.series && event.number <= history.last.1 {
             return;
@@ -335,7 +342,7 @@ fn line(event: &Event) -> Line {
         job: event.job.clone(),
         kind: event.what.kind().to_string(),
         alarm,
-        text: words(event),
+        text: sentence(&words(event)),
     }
 }
 

@@ -10,7 +10,7 @@ use cell_fleet::client::Client;
 use futures_util::StreamExt;
 use std::ops::ControlFlow;
 use std::time::Duration;
-use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
+use tokio::time::{Instant, MissedTickBehavior, interval_at, sleep, timeout};
 
 /// Events that are read at the beginning: those of a shift of a large fleet.
 const LAST_EVENTS: u64 = 50_000;
@@ -27,7 +27,7 @@ pub async fn watch(client: &Client, fleet: &str, mut each: impl FnMut(FleetView)
     loop {
         match timeout(WITHIN, client.changes(LAST_EVENTS)).await {
             Ok(Ok(changes)) => {
-                watch.board = Board::default();
+                // What was known stays: it comes once more, and until then it is what there is to show.
                 if watch.follow(client, changes, &mut each).await.is_break() {
                     return;
                 }
@@ -59,7 +59,8 @@ impl Watch {
         mut changes: Changes,
         each: &mut impl FnMut(FleetView) -> ControlFlow<()>,
     ) -> ControlFlow<()> {
-        let mut ticks = interval(EVERY);
+        // Not at once: what is there comes first.
+        let mut ticks = interval_at(Instant::now() + EVERY, EVERY);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             tokio::select! {

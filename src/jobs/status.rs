@@ -20,6 +20,9 @@ pub struct Status {
     /// The file of its configuration; empty while it waits for the robot.
     #[serde(default)]
     pub config: String,
+    /// The shared part of its configuration, in words; none where it runs with its own file alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shared: Option<String>,
     /// s since 1970.
     pub started_unix_s: f64,
     /// s since 1970.
@@ -162,6 +165,9 @@ impl Status {
             if self.paused { ", paused" } else { "" },
             self.message
         )];
+        if let Some(shared) = &self.shared {
+            lines.push(format!("  configuration shared with other cells: {shared}"));
+        }
         if let Some(because) = &self.because {
             lines.push(format!("  looks again: {because}"));
         }
@@ -221,7 +227,8 @@ mod tests {
 
     #[test]
     fn the_page_names_every_key_of_status_and_result_and_no_other() {
-        let status = Status { fleet: vec!["a sentence".into()], ..Status::default() };
+        let (fleet, shared) = (vec!["a sentence".into()], Some("fragment 3".into()));
+        let status = Status { fleet, shared, ..Status::default() };
         let status = serde_json::to_value(status).unwrap();
         let keys = status.as_object().unwrap().keys().cloned().collect::<BTreeSet<_>>();
         assert_eq!(keys_of("status.json"), keys);

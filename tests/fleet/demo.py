@@ -58,8 +58,8 @@ def fleet(*arguments, code=0):
 
 
 def cell(name):
-    """A cell as the page shows it."""
-    return next((cell for cell in view()["cells"] if cell["name"] == name), None)
+    """The state of a cell as the page shows it; empty where it shows none."""
+    return next((cell["state"] for cell in view()["cells"] if cell["name"] == name), {})
 
 
 def state(name):
@@ -69,10 +69,12 @@ def state(name):
 
 arguments = ["fleet", "demo", "--cells", str(CELLS), "--jobs", "1", "--keep", "--out", str(OUT)]
 arguments += ["--nats-server", NATS, "--bind", FIRST, "--listen", "127.0.0.1:0"]
-demo = subprocess.Popen([CELLD, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+OUT.parent.mkdir(parents=True, exist_ok=True)
+said = OUT.with_suffix(".log")
+demo = subprocess.Popen([CELLD, *arguments], stdout=subprocess.PIPE, stderr=said.open("w"), text=True)
 try:
     link = demo.stdout.readline().strip()
-    assert "/#key=" in link, (link, demo.stderr.read() if demo.poll() is not None else "")
+    assert "/#key=" in link, (link, said.read_text())
     port = until("the server's port", lambda: next(iter((OUT / "ports").glob("*")), None))
     server = json.loads(port.read_text())["nats"][0]
 
@@ -111,14 +113,16 @@ try:
     fleet("config", "publish", str(shared), "--to", "any", code=2)
     shared.write_text("version: 1\nplanner: {solver: auto, objective: ti, time_limit_s: 3, seed: 0}\n")
     number = int(fleet("config", "publish", str(shared), "--to", "cell=cell-1", "--check", "config/cell.yaml"))
-    until("an armed cell waits", lambda: cell("cell-1")["state"].get("fragment_waits") == number)
+    until("an armed cell waits", lambda: cell("cell-1").get("fragment_waits") == number)
     celld("disarm", "--state", state("cell-1"))
-    until("a disarmed cell takes it", lambda: cell("cell-1")["state"].get("fragment") == number)
-    ready = until("and is there", lambda: (c := cell("cell-1")) and c["state"]["state"] == "idle" and c)
-    assert not ready["state"]["armed"] and cell("cell-2")["state"]["armed"], ready
+    until("a disarmed cell takes it", lambda: cell("cell-1").get("fragment") == number)
+    ready = until("and is there", lambda: (c := cell("cell-1")).get("state") == "idle" and c)
+    assert not ready["armed"] and cell("cell-2")["armed"], ready
     assert f"fragment {number}" in fleet("config", "show")
+    status = json.loads(celld("status", "--state", state("cell-1"), "--format", "json"))
+    assert f"fragment {number} of cell=cell-1 by anna" in status["shared"], status
     fleet("config", "withdraw", "--to", "cell=cell-1")
-    until("and goes back", lambda: cell("cell-1")["state"].get("fragment") is None)
+    until("and goes back", lambda: (c := cell("cell-1")).get("state") == "idle" and "fragment" not in c)
 
     # Everything that was started ends with it.
     demo.send_signal(signal.SIGINT)
@@ -131,5 +135,5 @@ finally:
     if demo.poll() is None:
         demo.send_signal(signal.SIGINT)
         demo.wait(60)
-    print(demo.stderr.read())
+    print(said.read_text())
 print("the fleet's demo: all as it should be")

@@ -6,7 +6,7 @@
 use crate::client::{Client, Shown, shown, text};
 use crate::network::unix_s;
 use crate::payloads::{Claim, Event, decode};
-use crate::subjects::Key;
+use crate::subjects::{Fleet, Key};
 use async_nats::jetstream::consumer::{DeliverPolicy, pull};
 use async_nats::jetstream::kv::{Entry, Operation};
 use futures_util::stream::{self, Stream, StreamExt};
@@ -47,17 +47,13 @@ impl Client {
         let config = pull::OrderedConfig { deliver_policy, ..pull::OrderedConfig::default() };
         let consumer = self.server.events.create_consumer(config).await.map_err(text)?;
         let messages = consumer.messages().await.map_err(text)?;
+        let fleet = self.fleet.clone();
         let parts: [Changes; 3] = [
             until_it_ends("the cells", cells.map(|entry| entry.ok().map(cell))),
             until_it_ends("the claims", claims.map(|entry| entry.ok().map(claim))),
             until_it_ends(
                 "the events",
-                // One of another version is not for this reader.
-                messages.map(|message| {
-                    message.ok().map(|message| {
-                        decode::<Event>(&message.payload).ok().map(|event| Change::Event(Box::new(event)))
-                    })
-                }),
+                messages.map(move |message| message.ok().map(|message| event(&fleet, &message))),
             ),
         ];
         Ok(Box::pin(stream::select_all(parts)))
@@ -80,6 +76,14 @@ fn cell(entry: Entry) -> Option<Change> {
         Operation::Put => Change::Cell(Box::new(shown(entry))),
         Operation::Delete | Operation::Purge => Change::CellGone(entry.key),
     })
+}
+
+/// The event in a message; none where it is of another version, or of another cell than its subject says:
+/// the server lets a cell publish under its own name alone.
+fn event(fleet: &Fleet, message: &async_nats::jetstream::Message) -> Option<Change> {
+    let event = decode::<Event>(&message.payload).ok()?;
+    let subject = fleet.event(&event.cell, event.what.kind());
+    (message.subject.as_str() == subject).then(|| Change::Event(Box::new(event)))
 }
 
 fn claim(entry: Entry) -> Option<Change> {

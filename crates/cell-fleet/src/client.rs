@@ -101,7 +101,10 @@ impl Client {
         let mut refused = None;
         while let Ok(event) = said.try_recv() {
             if let async_nats::Event::ServerError(error) = event {
-                refused = Some(error.to_string()).filter(|text| text.to_lowercase().contains("permission"));
+                let text = error.to_string();
+                if text.to_lowercase().contains("permission") {
+                    refused = Some(text);
+                }
             }
         }
         refused

@@ -4,7 +4,7 @@
 //! the network names no path. The server's client checks the hash of what it reads.
 
 use crate::client::{Client, text};
-use crate::files::{CHUNK, is_file_name, object_name};
+use crate::files::{CHUNK, FILE_BYTES_MAX, is_file_name, object_name};
 use crate::subjects::is_job_id;
 use std::fs::File;
 use std::io::Write;
@@ -32,13 +32,14 @@ impl Client {
         let fault = |error: std::io::Error| format!("{}: {error}", path.display());
         let mut file = File::create(&half).map_err(fault)?;
         let read = async {
-            let mut bytes = vec![0; CHUNK];
+            let (mut bytes, mut left) = (vec![0; CHUNK], FILE_BYTES_MAX);
             loop {
                 let count = timeout(SILENT, object.read(&mut bytes)).await;
                 let count = count.map_err(|_| "the server does not go on".to_string())?.map_err(text)?;
                 if count == 0 {
                     return file.sync_all().map_err(text);
                 }
+                left = left.checked_sub(count as u64).ok_or("it is larger than any file of a job")?;
                 file.write_all(bytes.get(..count).unwrap_or_default()).map_err(text)?;
             }
         };

@@ -8,6 +8,7 @@ use crate::subjects::Fleet;
 use async_nats::jetstream::Context;
 use async_nats::jetstream::object_store::{Config, ObjectMetadata, ObjectStore};
 use async_nats::jetstream::stream::StorageType;
+use futures_util::StreamExt;
 use std::fs::File;
 use std::io::Read;
 use std::path::PathBuf;
@@ -149,26 +150,49 @@ pub async fn send(
     let store = bucket(context, fleet, replicas).await?;
     let mut sent = Vec::new();
     for FileToSend { name, content } in files {
-        let meta = ObjectMetadata { name: object_name(cell, job, &name), ..ObjectMetadata::default() };
-        let put = match content {
-            Content::Bytes(bytes) => store.put(meta, &mut Blocking(bytes.as_slice())).await,
-            Content::File(path) => {
-                let fault = |error: std::io::Error| format!("{name}: {error}");
-                let file = File::open(&path).map_err(fault)?;
-                let size = file.metadata().map_err(fault)?.len();
-                if size > FILE_BYTES_MAX {
-                    return Err(format!(
-                        "{name} has {size} bytes, more than the fleet carries; fetch it at the cell"
-                    ));
-                }
-                // One that still grows is sent as far as it is now.
-                store.put(meta, &mut Blocking(file.take(size))).await
-            }
+        let object = object_name(cell, job, &name);
+        let put = match put(&store, &object, &content).await {
+            Err(fault) if is_full(&fault) && make_room(&store).await => put(&store, &object, &content).await,
+            put => put,
         };
-        put.map_err(|error| refusal_sentence("files", &error.to_string()))?;
+        put.map_err(|fault| format!("{name}: {fault}"))?;
         sent.push(name);
     }
     Ok(sent)
+}
+
+async fn put(store: &ObjectStore, object: &str, content: &Content) -> Result<(), String> {
+    let meta = ObjectMetadata { name: object.to_string(), ..ObjectMetadata::default() };
+    let put = match content {
+        Content::Bytes(bytes) => store.put(meta, &mut Blocking(bytes.as_slice())).await,
+        Content::File(path) => {
+            let file = File::open(path).map_err(|error| error.to_string())?;
+            let size = file.metadata().map_err(|error| error.to_string())?.len();
+            if size > FILE_BYTES_MAX {
+                return Err(format!("{size} bytes are more than the fleet carries; fetch it at the cell"));
+            }
+            // One that still grows is sent as far as it is now.
+            store.put(meta, &mut Blocking(file.take(size))).await
+        }
+    };
+    put.map(drop).map_err(|error| refusal_sentence("files", &error.to_string()))
+}
+
+fn is_full(fault: &str) -> bool {
+    fault.contains("no room left")
+}
+
+/// Removes the older half of what others have asked for: it can be asked for again. False where nothing
+/// went.
+async fn make_room(store: &ObjectStore) -> bool {
+    let Ok(list) = store.list().await else { return false };
+    let mut objects: Vec<_> = list.filter_map(|object| std::future::ready(object.ok())).collect().await;
+    objects.sort_by_key(|object| object.modified);
+    let mut removed = false;
+    for object in objects.iter().take(objects.len().div_ceil(2)) {
+        removed |= store.delete(&object.name).await.is_ok();
+    }
+    removed
 }
 
 #[cfg(test)]

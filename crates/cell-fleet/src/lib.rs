@@ -3,10 +3,10 @@
 //! `subjects`, `payloads` and `asks`: what goes over the wire; `asyncapi`: the same in a document. `agent`:
 //! what a cell decides, with `hands` (the jobs it has), `steward` (all jobs of the fleet), `world` (what
 //! they share) and `values` (inputs and effects); all of these are pure. `store`: the cell's database;
-//! `connect`, `server`, `link`, `pull`, `network`: NATS; `side`: the cell as its part in the fleet sees it;
-//! `run`: that part from start to end; `client`: what a person at a terminal does; `changes`: all that
-//! changes, for who shows it; `files`, `fetch`: pictures, plans and recordings for who asks for them;
-//! `fragments`, `publish`: parts of a configuration in versions.
+//! `connect`, `server`, `link`, `pull`, `network`, `watches`: NATS; `side`: the cell as its part in the
+//! fleet sees it; `run`: that part from start to end; `client`: what a person at a terminal does; `changes`:
+//! all that changes, for who shows it; `files`, `fetch`: pictures, plans and recordings for who asks for
+//! them; `fragments`, `publish`: parts of a configuration in versions.
 
 pub mod agent;
 pub mod asks;
@@ -30,6 +30,7 @@ pub mod steward;
 pub mod store;
 pub mod subjects;
 pub mod values;
+pub mod watches;
 pub mod words;
 pub mod world;
 

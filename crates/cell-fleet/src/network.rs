@@ -5,7 +5,7 @@
 
 use crate::connect::ANSWER_WITHIN;
 use crate::fragments::{FRAGMENT_MAX, Fragment, Published};
-use crate::payloads::{Answer, CellState, Claim, Event, Refusal, VERSION, What, Wish, decode, encode};
+use crate::payloads::{Answer, CellState, Claim, Event, Refusal, VERSION, What, decode, encode};
 use crate::server::Server;
 use crate::subjects::{Fleet, Key, Target};
 use crate::values::{Found, Input, Settle, Who, Written};
@@ -17,21 +17,10 @@ use futures_util::StreamExt;
 use std::future::Future;
 use std::time::Duration;
 use tokio::sync::mpsc::UnboundedSender;
-use tokio::task::JoinHandle;
-use tokio::time::error::Elapsed;
-use tokio::time::{sleep, timeout};
+use tokio::time::timeout;
 
 /// After this silence a bucket has no entries.
-const SILENT: Duration = Duration::from_secs(2);
-
-/// A watch that could not begin, or that has ended, is begun again after this.
-const AGAIN: Duration = Duration::from_secs(5);
-
-/// A watch that has not begun by then has no answer.
-const BEGINS_WITHIN: Duration = Duration::from_secs(15);
-
-/// What a steward follows, in complaints.
-pub const ALL_CLAIMS: &str = "the claims of all cells";
+pub(crate) const SILENT: Duration = Duration::from_secs(2);
 
 /// What comes back from the network.
 #[derive(Debug)]
@@ -53,6 +42,8 @@ pub enum News {
     Happened(String, What),
     /// A configuration fragment was published.
     Fragment(Box<Published>),
+    /// All that there were have come: before, the nearest one may be missing.
+    FragmentsKnown,
     /// Something was refused: about what, and a sentence. An empty one takes it back.
     Complaint(&'static str, String),
 }
@@ -61,8 +52,8 @@ pub enum News {
 #[derive(Clone)]
 pub struct Network {
     fleet: Fleet,
-    cell: String,
-    server: Server,
+    pub(crate) cell: String,
+    pub(crate) server: Server,
     news: UnboundedSender<News>,
 }
 
@@ -72,7 +63,7 @@ impl Network {
         Network { fleet, cell, server, news }
     }
 
-    fn tell(&self, news: News) {
+    pub(crate) fn tell(&self, news: News) {
         // The loop has ended.
         let _ = self.news.send(news);
     }
@@ -224,7 +215,14 @@ impl Network {
 
     /// Shows the cell's state.
     pub fn show(&self, state: &CellState) {
-        let Ok(bytes) = encode(state) else { return };
+        let bytes = match encode(state) {
+            Ok(bytes) => bytes,
+            Err(fault) => {
+                // Others take this cell for away.
+                return self
+                    .tell(News::Complaint("cells", format!("the state of this cell is not shown: {fault}")));
+            }
+        };
         let this = self.clone();
         self.spawn(async move {
             let put = timeout(ANSWER_WITHIN, this.server.cells.put(&this.cell, bytes.into())).await;
@@ -255,138 +253,6 @@ impl Network {
             this.tell(News::DeliveryOver(None));
         });
     }
-
-    /// Follows refusals, wishes and the cells from now on. A watch that cannot begin, or that ends, is begun
-    /// again; meanwhile a sentence says what is not seen.
-    pub fn watch(&self) -> [JoinHandle<()>; 3] {
-        let (keys, cells, fragments) = (self.clone(), self.clone(), self.clone());
-        [
-            tokio::spawn(async move {
-                loop {
-                    fragments.watch_fragments().await;
-                    sleep(AGAIN).await;
-                }
-            }),
-            tokio::spawn(async move {
-                loop {
-                    keys.watch_keys().await;
-                    sleep(AGAIN).await;
-                }
-            }),
-            tokio::spawn(async move {
-                loop {
-                    cells.watch_cells().await;
-                    sleep(AGAIN).await;
-                }
-            }),
-        ]
-    }
-
-    async fn watch_keys(&self) {
-        let watch = timeout(BEGINS_WITHIN, self.server.claims.watch_many_with_history(Key::WATCHED)).await;
-        let Some(mut watch) = self.watched("orders from afar", watch) else { return };
-        while let Some(entry) = watch.next().await {
-            if let Some(input) = entry.ok().and_then(key_input) {
-                self.tell(News::Input(input));
-            }
-        }
-        self.ended("orders from afar");
-    }
-
-    async fn watch_cells(&self) {
-        let watch = timeout(BEGINS_WITHIN, self.server.cells.watch_with_history(">")).await;
-        let Some(mut watch) = self.watched("the other cells", watch) else { return };
-        while let Some(entry) = watch.next().await {
-            if let Ok(entry) = entry {
-                self.cell(entry);
-            }
-        }
-        self.ended("the other cells");
-    }
-
-    async fn watch_fragments(&self) {
-        let watch = timeout(BEGINS_WITHIN, self.server.config.watch_with_history(">")).await;
-        let Some(mut watch) = self.watched("shared configuration", watch) else { return };
-        while let Some(entry) = watch.next().await {
-            if let Some(published) = entry.ok().and_then(published) {
-                self.tell(News::Fragment(Box::new(published)));
-            }
-        }
-        self.ended("shared configuration");
-    }
-
-    /// A watch that has begun; a sentence where it could not, taken back where it could.
-    fn watched<T, E: std::fmt::Display>(
-        &self,
-        what: &'static str,
-        watch: Result<Result<T, E>, Elapsed>,
-    ) -> Option<T> {
-        let begun = match watch {
-            Ok(Ok(watch)) => Ok(watch),
-            Ok(Err(error)) => Err(error.to_string()),
-            // A server does not answer what its permissions rule out.
-            Err(_) => Err("no answer".to_string()),
-        };
-        let fault = begun.as_ref().err().map(|text| unseen_sentence(what, text));
-        self.tell(News::Complaint(what, fault.unwrap_or_default()));
-        begun.ok()
-    }
-
-    fn ended(&self, what: &'static str) {
-        self.tell(News::Complaint(what, unseen_sentence(what, "the watch has ended")));
-    }
-
-    fn cell(&self, entry: Entry) {
-        let unix_s = unix_s(&entry);
-        let state = match entry.operation {
-            // A state of another version is of a cell all the same.
-            Operation::Put => Some(decode::<CellState>(&entry.value).unwrap_or_default()),
-            Operation::Delete | Operation::Purge => None,
-        };
-        if let Some(state) = state.as_ref().filter(|_| entry.key == self.cell) {
-            self.tell(News::Echo { stored_unix_s: unix_s, sent_unix_s: state.unix_s });
-        }
-        self.tell(News::Input(Input::Cell { name: entry.key, state: state.map(Box::new), unix_s }));
-    }
-
-    /// Follows all claims from now on.
-    pub fn follow(&self) -> JoinHandle<()> {
-        let this = self.clone();
-        tokio::spawn(async move {
-            loop {
-                this.watch_claims().await;
-                sleep(AGAIN).await;
-            }
-        })
-    }
-
-    async fn watch_claims(&self) {
-        let watch = timeout(BEGINS_WITHIN, self.server.claims.watch_with_history(Key::CLAIMS)).await;
-        let Some(mut watch) = self.watched(ALL_CLAIMS, watch) else { return };
-        let mut known = false;
-        loop {
-            let next = match known {
-                true => Ok(watch.next().await),
-                false => timeout(SILENT, watch.next()).await,
-            };
-            let last = match next {
-                Ok(None) => return self.ended(ALL_CLAIMS),
-                Ok(Some(Err(_))) => false,
-                Ok(Some(Ok(entry))) => {
-                    let (last, unix_s) = (entry.delta == 0, unix_s(&entry));
-                    if let Ok(Some((claim, revision))) = claim_of(Some(entry)) {
-                        self.tell(News::Input(Input::Claim { claim, revision, unix_s }));
-                    }
-                    last
-                }
-                Err(_) => true,
-            };
-            if last && !known {
-                known = true;
-                self.tell(News::Input(Input::ClaimsKnown));
-            }
-        }
-    }
 }
 
 /// When the server stored an entry, s since 1970.
@@ -395,7 +261,7 @@ pub fn unix_s(entry: &Entry) -> f64 {
 }
 
 /// The claim in an entry; none where it was deleted.
-fn claim_of(entry: Option<Entry>) -> Found {
+pub(crate) fn claim_of(entry: Option<Entry>) -> Found {
     match entry {
         Some(entry) if entry.operation == Operation::Put => {
             let claim = decode::<Claim>(&entry.value).map_err(|_| ())?;
@@ -414,19 +280,6 @@ pub fn published(entry: Entry) -> Option<Published> {
     let fragment = decode::<Fragment>(&entry.value).ok()?;
     let sound = fragment.text.len() <= FRAGMENT_MAX && sha256(&fragment.text) == fragment.sha256;
     sound.then_some(Published { target, by, revision: entry.revision, fragment })
-}
-
-/// What an entry under a watched key says.
-fn key_input(entry: Entry) -> Option<Input> {
-    let put = entry.operation == Operation::Put;
-    Some(match Key::of(&entry.key)? {
-        Key::Claim { .. } => return None,
-        Key::Refusal { job, cell } => {
-            let refusal = decode::<Refusal>(&entry.value).ok().filter(|_| put);
-            Input::Refused { job, cell, refusal: refusal.map(|refusal| (refusal.epoch, refusal.reason)) }
-        }
-        key => Input::Wish { key, wish: decode::<Wish>(&entry.value).ok().filter(|_| put) },
-    })
 }
 
 /// All entries of a bucket under a pattern.
@@ -473,15 +326,6 @@ fn foreign_sentence(job: &str) -> String {
         "the claim of job {job} is not of this version of celld ({VERSION}) or cannot be read, and is left as it \
          is: this cell neither begins the job nor gives it back, and takes no other one meanwhile; run the same \
          version in all cells, or take the job back (`celld fleet cancel`)"
-    )
-}
-
-/// What a person should know of a watch that is not there.
-fn unseen_sentence(what: &str, text: &str) -> String {
-    format!(
-        "{what} cannot be followed, and what changes there is not seen ({text}); tried again every {} s, see \
-         the permissions in docs/fleet.md",
-        AGAIN.as_secs()
     )
 }
 

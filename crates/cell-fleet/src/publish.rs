@@ -10,7 +10,11 @@ use crate::payloads::{VERSION, encode};
 use crate::subjects::Target;
 use crate::words::sha256;
 use futures_util::StreamExt;
+use std::time::Duration;
 use tokio::time::timeout;
+
+/// All that was published for a target, over a slow network.
+const HISTORY_WITHIN: Duration = Duration::from_secs(30);
 
 impl Client {
     /// Publishes a fragment; an empty text takes back what there is. Its number comes back.
@@ -52,18 +56,22 @@ impl Client {
     /// # Errors
     /// What the server says.
     pub async fn fragment_history(&self, target: &Target) -> Result<Vec<Published>, String> {
-        let mut found = Vec::new();
-        let mut keys = self.server.config.keys().await.map_err(text)?;
-        while let Some(key) = keys.next().await {
-            let key = key.map_err(text)?;
-            if Target::of_config_key(&key).is_none_or(|(of, _)| of != *target) {
-                continue;
+        let read = timeout(HISTORY_WITHIN, async {
+            let mut found = Vec::new();
+            let mut keys = self.server.config.keys().await.map_err(text)?;
+            while let Some(key) = keys.next().await {
+                let key = key.map_err(text)?;
+                if Target::of_config_key(&key).is_none_or(|(of, _)| of != *target) {
+                    continue;
+                }
+                let mut history = self.server.config.history(&key).await.map_err(text)?;
+                while let Some(entry) = history.next().await {
+                    found.extend(published(entry.map_err(text)?));
+                }
             }
-            let mut history = self.server.config.history(&key).await.map_err(text)?;
-            while let Some(entry) = history.next().await {
-                found.extend(published(entry.map_err(text)?));
-            }
-        }
+            Ok::<_, String>(found)
+        });
+        let mut found = read.await.map_err(|_| "the server does not go on".to_string())??;
         found.sort_by_key(|published| published.revision);
         Ok(found)
     }

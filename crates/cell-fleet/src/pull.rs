@@ -73,6 +73,13 @@ fn is_on(wanted: u64) -> bool {
     wanted % 2 == 1
 }
 
+/// Whether an answer says that a request was served: with a job, or that there is none. Anything else (no
+/// such consumer, too many who wait) would come at once again: that lane is left alone until the request
+/// would count as lost.
+fn ends_a_request(status: Option<StatusCode>) -> bool {
+    matches!(status, None | Some(StatusCode::NOT_FOUND | StatusCode::TIMEOUT))
+}
+
 impl Puller {
     /// Nothing is wanted: passes on what open requests still bring. `None`: it is over.
     async fn rest(&mut self, wanted: &mut watch::Receiver<u64>) -> Option<()> {
@@ -177,12 +184,25 @@ impl Puller {
         if message.status == Some(StatusCode::IDLE_HEARTBEAT) {
             return Some(Answer::None);
         }
-        if let Some(lane) = lane {
+        if let Some(lane) = lane.filter(|_| ends_a_request(message.status)) {
             self.close(lane);
         }
         if message.status.is_some() || message.reply.is_none() {
             return Some(Answer::None);
         }
         self.found.send(message).ok().map(|()| Answer::Job)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lane_without_a_consumer_is_not_asked_again_at_once() {
+        assert!(ends_a_request(None) && ends_a_request(Some(StatusCode::NOT_FOUND)));
+        assert!(ends_a_request(Some(StatusCode::TIMEOUT)));
+        assert!(!ends_a_request(Some(StatusCode::NO_RESPONDERS)));
+        assert!(!ends_a_request(Some(StatusCode::REQUEST_TERMINATED)));
     }
 }

@@ -8,18 +8,19 @@ use crate::agent::Agent;
 use crate::files::{self, FileKind};
 use crate::fragments::Shelf;
 use crate::link::{Link, keep_linked};
-use crate::network::{ALL_CLAIMS, Network, News};
-use crate::payloads::{Answer, Ask, CellState, VERSION, What, decode};
+use crate::network::{Network, News};
+use crate::payloads::{Answer, Ask, CellState, VERSION, What, decode, sentence};
 use crate::pull::pull;
 use crate::side::{CellEvent, CellSide, FragmentState, Settings};
 use crate::store::Store;
 use crate::subjects::Asked;
 use crate::values::{At, Effect, Entry, Input, Settle, Token, Written};
+use crate::watches::ALL_CLAIMS;
 use crate::world;
 use async_nats::{Message, Subject, Subscriber, jetstream};
 use cell_values::time::Timestamp;
 use futures_util::StreamExt;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -92,6 +93,7 @@ pub async fn run(settings: Settings, mut cell: Box<dyn CellSide>, stop: Arc<Atom
         last_token: 0,
         asks: None,
         shelf: Shelf::default(),
+        shelf_known: false,
         sending: Arc::new(Semaphore::new(1)),
         delivering: false,
         shown: CellState::default(),
@@ -123,6 +125,8 @@ struct Shell {
     last_token: Token,
     asks: Option<Subscriber>,
     shelf: Shelf,
+    /// All fragments that there were have come.
+    shelf_known: bool,
     /// A place for one request for files.
     sending: Arc<Semaphore>,
     delivering: bool,
@@ -282,6 +286,7 @@ impl Shell {
             }
             News::Happened(job, what) => self.note(Some(job), what, unix_now_s()),
             News::Fragment(published) => self.shelf.put(*published),
+            News::FragmentsKnown => self.shelf_known = true,
             News::Complaint(about, message) => self.complain(about, Some(message)),
         }
     }
@@ -331,7 +336,7 @@ impl Shell {
                 self.drop_tasks();
                 self.faults.clear();
                 // Of another server, perhaps, or one that has lost its disk: numbers begin anew there.
-                self.shelf = Shelf::default();
+                (self.shelf, self.shelf_known) = (Shelf::default(), false);
                 let (client, server, consumers) = *ready;
                 let (fleet, cell) = (self.settings.fleet.clone(), self.settings.cell.clone());
                 self.asks = client.subscribe(fleet.asks_of(&cell)).await.ok();
@@ -387,7 +392,9 @@ impl Shell {
 
     /// A person wants files: found and sent on a thread of their own, one request at a time.
     fn send(&mut self, network: Network, reply: Subject, job: String, kinds: &[String]) {
-        let kinds: Vec<FileKind> = kinds.iter().filter_map(|word| FileKind::of(word)).collect();
+        // Each once, however often it is named.
+        let kinds: BTreeSet<FileKind> = kinds.iter().filter_map(|word| FileKind::of(word)).collect();
+        let kinds: Vec<FileKind> = kinds.into_iter().collect();
         if kinds.is_empty() {
             return network
                 .reply(reply, &answer(false, "no kind of file that this celld knows is named".into()));
@@ -434,9 +441,10 @@ impl Shell {
         state.undelivered = self.store.waiting().unwrap_or(0);
         state.totals = self.store.totals().unwrap_or_default();
         let wanted = self.shelf.wanted(&self.settings.cell, &self.settings.labels);
+        let wanted = wanted.filter(|_| self.shelf_known);
         let FragmentState { runs, waits, fault } = self.cell.fragment(wanted);
         (state.fragment, state.fragment_waits) = (runs, waits);
-        self.complain("fragment", fault);
+        self.complain("fragment", fault.map(|fault| sentence(&fault)));
         state.complaints = self.agent.complaints();
         state.complaints.extend(self.faults.values().cloned());
         if state.complaints != self.said {

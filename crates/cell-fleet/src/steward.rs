@@ -75,9 +75,12 @@ impl Steward {
             return;
         }
         self.grant_wishes(world);
-        let idle: Vec<Known> =
-            self.claims.iter().filter(|(job, _)| !self.busy.contains(*job)).map(|(_, k)| k.clone()).collect();
-        for known in idle {
+        // Most claims are over or begun, and there are as many as the fleet had jobs in three months.
+        let concerns = |(job, known): &(&String, &Known)| {
+            !self.busy.contains(*job) && needs_a_look(world, job, &known.claim)
+        };
+        let concerned: Vec<Known> = self.claims.iter().filter(concerns).map(|(_, k)| k.clone()).collect();
+        for known in concerned {
             self.look_after(world, &known);
         }
     }
@@ -98,11 +101,7 @@ impl Steward {
 
     /// Small keys of a job that is over are of no use.
     fn tidy(&mut self, world: &mut World, job: &str) {
-        let of_job = |key: &&Key| match key {
-            Key::Cancel { job: of, .. } => of == job,
-            _ => false,
-        };
-        let wishes: Vec<Key> = world.wishes.keys().filter(of_job).cloned().collect();
+        let wishes: Vec<Key> = world.wishes.keys().filter(|key| cancels(key, job)).cloned().collect();
         let refusals = world.refusals.remove(job).unwrap_or_default();
         let refusals = refusals.into_keys().map(|cell| Key::Refusal { job: job.to_string(), cell });
         for key in wishes.into_iter().chain(refusals) {
@@ -162,6 +161,25 @@ impl Steward {
     fn write(&mut self, world: &mut World, claim: Claim, over: Option<u64>) {
         self.busy.insert(claim.job.id.clone());
         world.want(Effect::Write { who: Who::Steward, claim: Box::new(claim), over });
+    }
+}
+
+fn cancels(key: &Key, job: &str) -> bool {
+    match key {
+        Key::Cancel { job: of, .. } => of == job,
+        Key::Claim { .. } | Key::Refusal { .. } | Key::Give { .. } => false,
+    }
+}
+
+/// There may be something to do about a claim.
+fn needs_a_look(world: &World, job: &str, claim: &Claim) -> bool {
+    match claim.state {
+        ClaimState::Offered => !claim.queued,
+        ClaimState::Claimed => true,
+        ClaimState::Ended | ClaimState::Cancelled => {
+            world.refusals.contains_key(job) || world.wishes.keys().any(|key| cancels(key, job))
+        }
+        ClaimState::Begun | ClaimState::Aside => false,
     }
 }
 

@@ -3,10 +3,14 @@
 //! In: arguments bound to parameters. Out: a value or the message of a runtime exception. A matrix is a list
 //! of rows of equal length.
 
+use crate::bounds::TOO_LARGE;
 use crate::host::Call;
 use crate::operators;
 use crate::value::Value;
 use nalgebra::DMatrix;
+
+/// Largest matrix that is inverted: as much work as the largest product (`operators`).
+const MAX_INVERTED: usize = 100;
 
 /// Longest list that `make_list` builds.
 const MAX_LENGTH: i32 = 100_000;
@@ -133,6 +137,9 @@ fn inverse(call: &Call<'_>) -> Result<Value, String> {
     let matrix = matrix(call)?;
     if !matrix.is_square() {
         return Err("only a square matrix has an inverse".to_owned());
+    }
+    if matrix.nrows() > MAX_INVERTED {
+        return Err(TOO_LARGE.to_owned());
     }
     matrix.try_inverse().map(|inverse| rows(&inverse)).ok_or_else(|| "the matrix has no inverse".to_owned())
 }

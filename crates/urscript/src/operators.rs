@@ -140,6 +140,10 @@ fn real(operator: Binary, a: f64, b: f64) -> Result<Value, String> {
     }))
 }
 
+/// One product is one instruction, and a frame has time for some thousands of those: 100 by 100 by 100 is a
+/// millisecond, and no program for an arm is known that comes near it.
+const MAX_MULTIPLICATIONS: usize = 1_000_000;
+
 /// Matrix times matrix or matrix times vector; two plain vectors have no product.
 fn matrix_product(a: &[Value], b: &[Value]) -> Result<Value, String> {
     let rows: Vec<Vec<f64>> = a
@@ -161,7 +165,8 @@ fn matrix_product(a: &[Value], b: &[Value]) -> Result<Value, String> {
         return Err("the sizes of the matrices do not fit".to_owned());
     }
     // A column times a row is larger than both: it is counted before it is made.
-    if rows.len().saturating_mul(width + 1) >= MAX_ELEMENTS {
+    let multiplications = rows.len().saturating_mul(width).saturating_mul(columns.len());
+    if rows.len().saturating_mul(width + 1) >= MAX_ELEMENTS || multiplications > MAX_MULTIPLICATIONS {
         return Err(TOO_LARGE.to_owned());
     }
     let cell =

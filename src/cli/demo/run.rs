@@ -126,7 +126,7 @@ async fn with_sim(
     let recorder =
         Recorder::create(&out.join("run.mcap"), RecordedPictures::Jpeg, Some(measured.camera.clone()));
     let mut watch = Watch::new(recorder);
-    shell.run(&mut watch, stop).await.map_err(|error| error.to_string())?;
+    shell.run(&mut watch, &|_| stop.load(Ordering::Relaxed)).await.map_err(|error| error.to_string())?;
     Ok((calibration, watch))
 }
 

@@ -19,12 +19,14 @@ use cell_fleet::payloads::Job;
 use cell_fleet::server::Storage;
 use cell_fleet::subjects::{Fleet, Lane, Priority, Target};
 use clap::Args;
+use std::fs::File;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use tokio::signal::unix::{SignalKind, signal};
 
 /// Name of the fleet, and of who submits.
 const FLEET: &str = "demo";
@@ -65,10 +67,10 @@ pub async fn demo(args: &DemoArgs, stop: &AtomicBool) -> Result<(), Failure> {
     let program = nats_program(args.nats_server.as_deref()).map_err(Failure::Usage)?;
     let cells = (0..args.cells).map(|number| DemoCell::new(number, args.bind, &args.out));
     let cells = cells.collect::<Result<Vec<_>, _>>().map_err(Failure::Usage)?;
-    fresh_folder(&args.out)?;
+    let page = FleetPage::start(args.listen).map_err(Failure::Usage)?;
+    let _mine = fresh_folder(&args.out)?;
     let (server, address) = nats(&program, &args.out)?;
     eprintln!("the NATS server is at {address}");
-    let page = FleetPage::start(args.listen).map_err(Failure::Usage)?;
     let client = open(&address).await?;
     let mut fleet = Demo { processes: vec![server], client, page, stop, begun: Instant::now() };
     let done = fleet.perform(args, &cells, &address).await;
@@ -77,17 +79,35 @@ pub async fn demo(args: &DemoArgs, stop: &AtomicBool) -> Result<(), Failure> {
     done
 }
 
-/// Of an earlier run nothing is left that could be taken for this one's.
-fn fresh_folder(out: &Path) -> Result<(), Failure> {
+/// What a folder of a fleet's demo has in it: only such a one is emptied.
+const MARK: &str = ".celld-fleet-demo";
+
+/// The folder, empty but for its mark: of an earlier run nothing is left that could be taken for this one's.
+/// It is this run's as long as the mark is held.
+fn fresh_folder(out: &Path) -> Result<File, Failure> {
     let fault = |error: std::io::Error| Failure::Failed(format!("{}: {error}", out.display()));
-    if out.exists() && !out.join("nats.conf").exists() && out.read_dir().map_err(fault)?.next().is_some() {
+    std::fs::create_dir_all(out).map_err(fault)?;
+    let mark = out.join(MARK);
+    if !mark.is_file() && out.read_dir().map_err(fault)?.next().is_some() {
         let out = out.display();
         return Err(Failure::Usage(format!("{out}: has files that are no fleet demo's; name another --out")));
     }
-    if out.exists() {
-        std::fs::remove_dir_all(out).map_err(fault)?;
+    let held = File::create(&mark).map_err(fault)?;
+    if held.try_lock().is_err() {
+        let out = out.display();
+        return Err(Failure::Usage(format!("{out}: another fleet demo runs in it; name another --out")));
     }
-    std::fs::create_dir_all(out).map_err(fault)
+    for entry in out.read_dir().map_err(fault)? {
+        let entry = entry.map_err(fault)?;
+        if entry.file_name() == MARK {
+            continue;
+        }
+        match entry.file_type().map_err(fault)?.is_dir() {
+            true => std::fs::remove_dir_all(entry.path()).map_err(fault)?,
+            false => std::fs::remove_file(entry.path()).map_err(fault)?,
+        }
+    }
+    Ok(held)
 }
 
 async fn open(address: &str) -> Result<Client, Failure> {
@@ -101,6 +121,22 @@ async fn open(address: &str) -> Result<Client, Failure> {
     let fleet = Fleet::new(FLEET).ok_or_else(|| Failure::Failed(format!("{FLEET} is no name")))?;
     let client = Client::open(&access, fleet, FLEET, Storage::USUAL).await;
     client.map_err(|fault| Failure::Failed(fault.to_string()))
+}
+
+/// Ctrl-C, SIGTERM, or the terminal has gone: what was started ends in each case.
+async fn ended_by_a_signal() {
+    let (Ok(mut terminate), Ok(mut hang_up)) =
+        (signal(SignalKind::terminate()), signal(SignalKind::hangup()))
+    else {
+        // Without those this one still counts.
+        let _ = tokio::signal::ctrl_c().await;
+        return;
+    };
+    tokio::select! {
+        _ = tokio::signal::ctrl_c() => {}
+        _ = terminate.recv() => {}
+        _ = hang_up.recv() => {}
+    }
 }
 
 struct Demo<'s> {
@@ -182,7 +218,7 @@ impl Demo<'_> {
         let followed = watch(&self.client, FLEET, &mut each);
         tokio::select! {
             () = followed => {}
-            _ = tokio::signal::ctrl_c() => return Err(Failure::Stopped),
+            () = ended_by_a_signal() => return Err(Failure::Stopped),
         }
         last.unwrap_or(Err(Failure::Stopped))
     }
@@ -275,12 +311,19 @@ mod tests {
     #[test]
     fn only_what_is_of_a_demo_is_removed() {
         let folder = tempfile::tempdir().unwrap();
-        let out = folder.path().join("fleet");
-        assert!(fresh_folder(&out).is_ok() && out.is_dir());
-        std::fs::write(out.join("mine.txt"), "x").unwrap();
-        assert!(matches!(fresh_folder(&out), Err(Failure::Usage(fault)) if fault.contains("another --out")));
-        std::fs::write(out.join("nats.conf"), "x").unwrap();
-        assert!(fresh_folder(&out).is_ok() && !out.join("mine.txt").exists());
+        let (out, others) = (folder.path().join("fleet"), folder.path().join("nats"));
+        std::fs::create_dir(&others).unwrap();
+        std::fs::write(others.join("nats.conf"), "x").unwrap();
+        assert!(
+            matches!(fresh_folder(&others), Err(Failure::Usage(fault)) if fault.contains("another --out"))
+        );
+        assert!(others.join("nats.conf").exists());
+        let held = fresh_folder(&out).ok().unwrap();
+        std::fs::create_dir(out.join("cell-1")).unwrap();
+        assert!(matches!(fresh_folder(&out), Err(Failure::Usage(fault)) if fault.contains("runs in it")));
+        assert!(out.join("cell-1").exists(), "of a demo that runs nothing is removed");
+        drop(held);
+        assert!(fresh_folder(&out).is_ok() && !out.join("cell-1").exists());
     }
 
     #[test]

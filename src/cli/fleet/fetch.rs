@@ -1,8 +1,8 @@
 //! `celld fleet fetch`: pictures, plans and recordings of a job, from the cell that did it.
 //!
 //! In: a job's id, what is wanted. Out: files in a folder, their paths on stdout. The cell puts them into
-//! the fleet's object store when it is asked to, and they are read from there: nothing is copied that no one
-//! wants.
+//! the fleet's object store when it is asked to, and they are read from there: only what is wanted is
+//! copied.
 
 use crate::cli::fleet::reach::{Failure, ReachArgs};
 use crate::cli::task::outln;
@@ -28,6 +28,9 @@ pub struct FetchArgs {
     #[command(flatten)]
     reach: ReachArgs,
 }
+
+/// Files of one job: a recording comes in several.
+const FILES_MOST: usize = 100;
 
 fn kind(word: &str) -> Result<FileKind, String> {
     let known = || FileKind::ALL.map(FileKind::as_str).join(", ");
@@ -58,6 +61,12 @@ pub async fn fetch(args: &FetchArgs) -> Result<(), Failure> {
     let folder = args.out.join(&args.job);
     std::fs::create_dir_all(&folder)
         .map_err(|error| Failure::Failed(format!("{}: {error}", folder.display())))?;
+    if answer.files.len() > FILES_MOST {
+        return Err(Failure::Failed(format!(
+            "{cell}: it names {} files, no job has as many",
+            answer.files.len()
+        )));
+    }
     for name in &answer.files {
         let path = client.fetch(&cell, &args.job, name, &folder).await?;
         outln!("{}", path.display());

@@ -48,6 +48,7 @@ impl StateKeeper {
             awaiting_approval: status.job.iter().filter(|_| status.awaits_approval).cloned().collect(),
             plan: self.plan.clone(),
             config: self.config_file.clone(),
+            shared: self.shared.clone(),
             waiting: self.journal.waiting().map_or(0, |count| number(count as usize)),
             unread: self.spool.unread().map_or(0, number),
             because: status.because.clone(),

@@ -29,6 +29,7 @@ function now() {
   return [
     h("p", { class: "say", id: "message", role: "status" }, status.message),
     status.hint && h("p", { class: "hint", id: "hint" }, "→ ", status.hint),
+    status.shared && h("p", { class: "soft", id: "shared" }, t("Configuration shared with other cells"), ": ", status.shared),
     status.because && h("p", { class: "soft" }, status.because),
     h("p", {},
       h("span", { class: `badge ${status.armed ? "warn" : "good"}`, id: "armed" }, status.armed ? t("ARMED: the arm may move") : t("disarmed")), " ",

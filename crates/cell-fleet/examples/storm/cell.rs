@@ -75,10 +75,13 @@ impl CellSide for Side {
     }
 
     fn hand_in(&mut self, job: &Job) -> Result<(), String> {
+        // Both rows or none: the real journal has one.
+        let both = self.journal.unchecked_transaction().map_err(fault)?;
         let new =
             self.journal.execute("INSERT OR IGNORE INTO job (id) VALUES (?1)", [&job.id]).map_err(fault)?;
         if new == 1 {
             self.journal.execute("INSERT INTO carried (id) VALUES (?1)", [&job.id]).map_err(fault)?;
+            both.commit().map_err(fault)?;
             self.works = Some((job.id.clone(), Instant::now() + self.takes));
         }
         Ok(())

@@ -26,6 +26,10 @@ fn settings(folder: &Path, keys: &[(&str, &nkeys::KeyPair)]) -> String {
     put("/etc/nats/", &format!("{}/", folder.display()));
     put("/var/lib/nats", "STORE");
     put("20GB", "8GB");
+    // As the page has it for who may publish shared configuration.
+    let also = "$KV.celld-plant-config.*.*.anna";
+    assert!(PAGE.contains(&format!("`{also}`")));
+    put("give.*.anna\"", &format!("give.*.anna\", \"{also}\""));
     keys.iter().for_each(|(name, pair)| put(name, &pair.public_key()));
     text
 }

@@ -212,6 +212,13 @@ impl Supervisor {
         })
     }
 
+    /// Disarmed, and nothing is under way, held or waited for by a job: nothing is lost when it ends now.
+    pub fn is_quiet(&self) -> bool {
+        let doing = self.doing();
+        let rests = !doing.is_under_way() && !matches!(doing, Doing::Writing | Doing::Waiting(_));
+        !self.mode.armed() && rests && self.job.is_none() && self.holding_words().is_none()
+    }
+
     /// How the cell looks from outside.
     pub fn status(&self) -> Status {
         let job = self.job.as_ref();

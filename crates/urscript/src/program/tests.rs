@@ -107,6 +107,9 @@ fn lists_poses_and_strings() {
     check("say([[1, 2], [3, 4]] * [1, 1])", "[3, 7]");
     check_fails("x = [[]] * []", 1, 10, "sizes of the matrices");
     check_fails("a = make_list(1000, [1]) b = [make_list(1000, 1)] c = a * b", 1, 57, "too large");
+    check("a = make_list(100, make_list(100, 1)) b = a * a say(b[99, 99])", "100");
+    check_fails("a = make_list(400, make_list(400, 1)) b = a * a", 1, 45, "too large");
+    check_fails("a = make_list(200, make_list(200, 1)) b = inv(a)", 1, 43, "too large");
     check("a = [1] b = a b[0] = 2 say(a)", "[1]");
     check("p = p[1, 2, 3, 0, 0, 0] p[0] = 7 say(p[0]) say(p)", "7|p[7, 2, 3, 0, 0, 0]");
     check("p = [5, 6] say(p[1])", "6");

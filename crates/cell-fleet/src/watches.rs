@@ -1,0 +1,199 @@
+//! What a cell follows on the server: wishes of persons, refusals, the other cells, shared configuration,
+//! and as steward all claims.
+//!
+//! In: buckets. Out: what changes in them, as [`News`]. A watch that cannot begin, or that ends, is begun
+//! again; meanwhile a sentence says what is not seen.
+
+use crate::network::{Network, News, SILENT, claim_of, published, unix_s};
+use crate::payloads::{CellState, Refusal, Wish, decode};
+use crate::subjects::Key;
+use crate::values::Input;
+use async_nats::jetstream::kv::{Entry, Operation};
+use futures_util::StreamExt;
+use std::time::Duration;
+use tokio::task::JoinHandle;
+use tokio::time::error::Elapsed;
+use tokio::time::{sleep, timeout};
+
+/// A watch that could not begin, or that has ended, is begun again after this.
+const AGAIN: Duration = Duration::from_secs(5);
+
+/// A watch that has not begun by then has no answer.
+const BEGINS_WITHIN: Duration = Duration::from_secs(15);
+
+/// What a steward follows, in complaints.
+pub const ALL_CLAIMS: &str = "the claims of all cells";
+
+impl Network {
+    /// Follows refusals, wishes and the cells from now on. A watch that cannot begin, or that ends, is begun
+    /// again; meanwhile a sentence says what is not seen.
+    pub fn watch(&self) -> [JoinHandle<()>; 3] {
+        let (keys, cells, fragments) = (self.clone(), self.clone(), self.clone());
+        [
+            tokio::spawn(async move {
+                loop {
+                    fragments.watch_fragments().await;
+                    sleep(AGAIN).await;
+                }
+            }),
+            tokio::spawn(async move {
+                loop {
+                    keys.watch_keys().await;
+                    sleep(AGAIN).await;
+                }
+            }),
+            tokio::spawn(async move {
+                loop {
+                    cells.watch_cells().await;
+                    sleep(AGAIN).await;
+                }
+            }),
+        ]
+    }
+
+    async fn watch_keys(&self) {
+        let watch = timeout(BEGINS_WITHIN, self.server.claims.watch_many_with_history(Key::WATCHED)).await;
+        let Some(mut watch) = self.watched("orders from afar", watch) else { return };
+        while let Some(entry) = watch.next().await {
+            if let Some(input) = entry.ok().and_then(key_input) {
+                self.tell(News::Input(input));
+            }
+        }
+        self.ended("orders from afar");
+    }
+
+    async fn watch_cells(&self) {
+        let watch = timeout(BEGINS_WITHIN, self.server.cells.watch_with_history(">")).await;
+        let Some(mut watch) = self.watched("the other cells", watch) else { return };
+        while let Some(entry) = watch.next().await {
+            if let Ok(entry) = entry {
+                self.cell(entry);
+            }
+        }
+        self.ended("the other cells");
+    }
+
+    async fn watch_fragments(&self) {
+        let watch = timeout(BEGINS_WITHIN, self.server.config.watch_with_history(">")).await;
+        let Some(mut watch) = self.watched("shared configuration", watch) else { return };
+        let mut known = false;
+        loop {
+            let next = match known {
+                true => Ok(watch.next().await),
+                false => timeout(SILENT, watch.next()).await,
+            };
+            let last = match next {
+                Ok(None) => return self.ended("shared configuration"),
+                Ok(Some(Err(_))) => false,
+                Ok(Some(Ok(entry))) => {
+                    let last = entry.delta == 0;
+                    if let Some(published) = published(entry) {
+                        self.tell(News::Fragment(Box::new(published)));
+                    }
+                    last
+                }
+                // Silent: there are none.
+                Err(_) => true,
+            };
+            if last && !known {
+                known = true;
+                self.tell(News::FragmentsKnown);
+            }
+        }
+    }
+
+    /// A watch that has begun; a sentence where it could not, taken back where it could.
+    fn watched<T, E: std::fmt::Display>(
+        &self,
+        what: &'static str,
+        watch: Result<Result<T, E>, Elapsed>,
+    ) -> Option<T> {
+        let begun = match watch {
+            Ok(Ok(watch)) => Ok(watch),
+            Ok(Err(error)) => Err(error.to_string()),
+            // A server does not answer what its permissions rule out.
+            Err(_) => Err("no answer".to_string()),
+        };
+        let fault = begun.as_ref().err().map(|text| unseen_sentence(what, text));
+        self.tell(News::Complaint(what, fault.unwrap_or_default()));
+        begun.ok()
+    }
+
+    fn ended(&self, what: &'static str) {
+        self.tell(News::Complaint(what, unseen_sentence(what, "the watch has ended")));
+    }
+
+    fn cell(&self, entry: Entry) {
+        let unix_s = unix_s(&entry);
+        let state = match entry.operation {
+            // A state of another version is of a cell all the same.
+            Operation::Put => Some(decode::<CellState>(&entry.value).unwrap_or_default()),
+            Operation::Delete | Operation::Purge => None,
+        };
+        if let Some(state) = state.as_ref().filter(|_| entry.key == self.cell) {
+            self.tell(News::Echo { stored_unix_s: unix_s, sent_unix_s: state.unix_s });
+        }
+        self.tell(News::Input(Input::Cell { name: entry.key, state: state.map(Box::new), unix_s }));
+    }
+
+    /// Follows all claims from now on.
+    pub fn follow(&self) -> JoinHandle<()> {
+        let this = self.clone();
+        tokio::spawn(async move {
+            loop {
+                this.watch_claims().await;
+                sleep(AGAIN).await;
+            }
+        })
+    }
+
+    async fn watch_claims(&self) {
+        let watch = timeout(BEGINS_WITHIN, self.server.claims.watch_with_history(Key::CLAIMS)).await;
+        let Some(mut watch) = self.watched(ALL_CLAIMS, watch) else { return };
+        let mut known = false;
+        loop {
+            let next = match known {
+                true => Ok(watch.next().await),
+                false => timeout(SILENT, watch.next()).await,
+            };
+            let last = match next {
+                Ok(None) => return self.ended(ALL_CLAIMS),
+                Ok(Some(Err(_))) => false,
+                Ok(Some(Ok(entry))) => {
+                    let (last, unix_s) = (entry.delta == 0, unix_s(&entry));
+                    if let Ok(Some((claim, revision))) = claim_of(Some(entry)) {
+                        self.tell(News::Input(Input::Claim { claim, revision, unix_s }));
+                    }
+                    last
+                }
+                Err(_) => true,
+            };
+            if last && !known {
+                known = true;
+                self.tell(News::Input(Input::ClaimsKnown));
+            }
+        }
+    }
+}
+
+/// What an entry under a watched key says.
+fn key_input(entry: Entry) -> Option<Input> {
+    let put = entry.operation == Operation::Put;
+    Some(match Key::of(&entry.key)? {
+        Key::Claim { .. } => return None,
+        Key::Refusal { job, cell } => {
+            let refusal = decode::<Refusal>(&entry.value).ok().filter(|_| put);
+            Input::Refused { job, cell, refusal: refusal.map(|refusal| (refusal.epoch, refusal.reason)) }
+        }
+        key => Input::Wish { key, wish: decode::<Wish>(&entry.value).ok().filter(|_| put) },
+    })
+}
+
+/// What a person should know of a watch that is not there.
+fn unseen_sentence(what: &str, text: &str) -> String {
+    format!(
+        "{what} cannot be followed, and what changes there is not seen ({text}); tried again every {} s, see \
+         the permissions in docs/fleet.md",
+        AGAIN.as_secs()
+    )
+}
