@@ -48,7 +48,7 @@ PACKAGES_BUILT := $(BUILD)/packages
 MOST_MEGABYTES := 15
 
 .PHONY: help setup clients demo try test test-cases test-clients test-clients-many test-page bench-page book bench figures
-.PHONY: fuzz fuzz-corpus demo-fleet bench-fleet setup-fleet test-fleet test-cluster bench-cluster check-slurm tidy
+.PHONY: fuzz fuzz-corpus bench-recording demo-fleet bench-fleet setup-fleet test-fleet test-cluster bench-cluster check-slurm tidy
 .PHONY: release install uninstall deb test-deb sim-static wheel image test-wheel test-image
 
 help:
@@ -59,6 +59,7 @@ help:
 	@echo "make test-cases                     every fault in every phase, every order in every state (make test: a part)"
 	@echo "make tidy                           formatting and house rules alone, in seconds"
 	@echo "make test-page                      the page in a browser (installs Chromium)"
+	@echo "make bench-recording                what recording costs the daemon"
 	@echo "make bench-page                     what viewers of the page cost the loop and the processor (ten minutes)"
 	@echo "make test-fleet                     many cells against a real NATS server (installs it)"
 	@echo "make bench-fleet                    100 cells and a NATS server, all killed at random: is each job done once?"
@@ -384,6 +385,11 @@ book:
 
 bench: setup
 	cargo bench
+
+# What recording costs the daemon: figures, none of them judged. Two simulated cells at real time, minutes.
+bench-recording: setup
+	cargo build --release --bin celld
+	python3 -B benches/recording_cost.py $(BUILD)/release/celld
 
 # Stopped half way, it goes on where it was; delete the table for a fresh start.
 figures: setup

@@ -63,7 +63,7 @@ pub type Point = (f64, f64);
 pub struct Trends {
     /// How far the reference markers seemed to be from where they were surveyed, mm, look by look.
     pub reference_residual_mm: VecDeque<Point>,
-    /// Relative vacuum, %, of the channel that had more, while something was held.
+    /// The most relative vacuum of each grip, %, of the channel that had more: what the cups still reach.
     pub vacuum_percent: VecDeque<Point>,
 }
 
@@ -151,7 +151,7 @@ impl Default for Feed {
 impl Feed {
     /// The observer of the loop.
     pub fn observer(&self) -> Watcher {
-        Watcher { feed: self.clone(), film: None, arm_at: None, vacuum_at: None, turned: None }
+        Watcher { feed: self.clone(), film: None, arm_at: None, vacuum_at: None, holds: None, turned: None }
     }
 
     /// Messages from now on.
@@ -300,6 +300,8 @@ pub struct Watcher {
     turned: Option<Instant>,
     arm_at: Option<Timestamp>,
     vacuum_at: Option<Timestamp>,
+    /// The most vacuum since something is held.
+    holds: Option<f64>,
 }
 
 /// Less vacuum than this is none: what the pump leaves in open cups.
@@ -348,10 +350,22 @@ impl Watcher {
         let percent = channels.map(|channel| (channel * 100.0).round());
         self.feed.send("vacuum", &percent);
         let most = channels[0].max(channels[1]);
-        if most > HOLDS {
-            push(&mut self.feed.last().trends.vacuum_percent, (unix_now_s(), (most * 1000.0).round() / 10.0));
+        if let Some(reached) = reached(&mut self.holds, most) {
+            push(
+                &mut self.feed.last().trends.vacuum_percent,
+                (unix_now_s(), (reached * 1000.0).round() / 10.0),
+            );
         }
     }
+}
+
+/// What a grip has reached, when it is over: the way up and the way down say nothing about the cups.
+fn reached(holds: &mut Option<f64>, vacuum: f64) -> Option<f64> {
+    if vacuum > HOLDS {
+        *holds = Some(holds.map_or(vacuum, |most| most.max(vacuum)));
+        return None;
+    }
+    holds.take()
 }
 
 impl Observer for Watcher {
@@ -448,6 +462,14 @@ mod tests {
             height_std_m: 1e-3,
             time: Timestamp::ZERO,
         }
+    }
+
+    #[test]
+    fn a_grip_is_one_point_of_the_trend_and_the_most_it_reached() {
+        let mut holds = None;
+        let course = [0.0, 0.2, 0.58, 0.61, 0.6, 0.3, 0.02, 0.01, 0.4, 0.0];
+        let points: Vec<f64> = course.iter().filter_map(|vacuum| reached(&mut holds, *vacuum)).collect();
+        assert_eq!(points, [0.61, 0.4]);
     }
 
     #[test]

@@ -120,7 +120,7 @@ try:
     assert not ready["armed"] and cell("cell-2")["armed"], ready
     assert f"fragment {number}" in fleet("config", "show")
     status = json.loads(celld("status", "--state", state("cell-1"), "--format", "json"))
-    assert f"fragment {number} of cell=cell-1 by anna" in status["shared"], status
+    assert f"fragment {number} of cell=cell-1 by anna" in status["status"]["shared"], status
     fleet("config", "withdraw", "--to", "cell=cell-1")
     until("and goes back", lambda: (c := cell("cell-1")).get("state") == "idle" and "fragment" not in c)
 

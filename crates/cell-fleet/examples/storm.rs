@@ -12,7 +12,7 @@ mod cell;
 #[path = "storm/server.rs"]
 mod server;
 
-use cell_fleet::changes::Change;
+use cell_fleet::changes::{Change, Changes};
 use cell_fleet::client::Client;
 use cell_fleet::connect::Access;
 use cell_fleet::payloads::{ClaimState, Job};
@@ -43,15 +43,19 @@ struct Options {
     jobs: usize,
     kills: usize,
     server_kills: usize,
+    /// Of a cluster; of several one goes away at half of the jobs, and stays away.
+    nodes: usize,
     /// Of a job, ms.
     takes_ms: u64,
+    /// Between two submissions, ms; 0: as fast as the server takes them.
+    pace_ms: u64,
     /// The server writes each message to the disk before it answers.
     sync_always: bool,
     seed: u64,
 }
 
-const USAGE: &str = "storm --nats FILE [--cells 100] [--jobs 10000] [--kills 300] [--server-kills 20] \
-                     [--takes-ms 50] [--sync always|default] [--seed 1]";
+const USAGE: &str = "storm --nats FILE [--cells 100] [--jobs 10000] [--kills 300] [--server-kills 20] [--nodes 1] \
+                     [--takes-ms 50] [--pace-ms 0] [--sync always|default] [--seed 1]";
 
 fn options() -> Result<Options, String> {
     let mut given: BTreeMap<String, String> = BTreeMap::new();
@@ -69,7 +73,9 @@ fn options() -> Result<Options, String> {
         jobs: count(number("--jobs", 10_000))?,
         kills: count(number("--kills", 300))?,
         server_kills: count(number("--server-kills", 20))?,
+        nodes: count(number("--nodes", 1))?,
         takes_ms: number("--takes-ms", 50)?,
+        pace_ms: number("--pace-ms", 0)?,
         seed: number("--seed", 1)?,
         sync_always: given.remove("--sync").is_none_or(|word| word == "always"),
         nats: given.remove("--nats").map(PathBuf::from).ok_or(USAGE)?,
@@ -103,15 +109,18 @@ fn now_s() -> f64 {
 /// The cells' processes.
 struct Cells {
     folder: tempfile::TempDir,
-    address: String,
+    /// The servers, with commas.
+    addresses: String,
+    nodes: usize,
     takes_ms: u64,
     running: Vec<Child>,
 }
 
 impl Cells {
-    fn start(count: usize, address: &str, takes_ms: u64) -> Cells {
-        let folder = tempfile::tempdir().unwrap();
-        let mut cells = Cells { folder, address: address.to_string(), takes_ms, running: Vec::new() };
+    fn start(count: usize, server: &Server, takes_ms: u64) -> Cells {
+        let (folder, running) = (tempfile::tempdir().unwrap(), Vec::new());
+        let (addresses, nodes) = (server.addresses().join(","), server.replicas());
+        let mut cells = Cells { folder, addresses, nodes, takes_ms, running };
         for number in 0..count {
             std::fs::create_dir_all(cells.place(number)).unwrap();
             let child = cells.spawn(number);
@@ -126,7 +135,8 @@ impl Cells {
 
     fn spawn(&self, number: usize) -> Child {
         let mut command = Command::new(std::env::current_exe().unwrap());
-        command.env("CELLD_STORM_CELL", self.place(number)).env("CELLD_STORM_NATS", &self.address);
+        command.env("CELLD_STORM_CELL", self.place(number)).env("CELLD_STORM_NATS", &self.addresses);
+        command.env("CELLD_STORM_NODES", self.nodes.to_string());
         command.env("CELLD_STORM_TAKES_MS", self.takes_ms.to_string()).stdin(Stdio::null());
         command.spawn().unwrap()
     }
@@ -154,6 +164,8 @@ impl Drop for Cells {
 struct Seen {
     /// The state of each claim.
     claims: BTreeMap<String, ClaimState>,
+    /// How many of them have ended.
+    over: usize,
     /// Cells that had begun a job.
     begun_by: BTreeMap<String, Vec<String>>,
     /// From submission to the first claim, s.
@@ -176,95 +188,190 @@ impl Seen {
                         by.push(claim.cell.clone());
                     }
                 }
-                self.claims.insert(id.clone(), claim.state);
+                let before = self.claims.insert(id.clone(), claim.state);
+                let [was, is] = [before, Some(claim.state)].map(|state| state == Some(ClaimState::Ended));
+                self.over = self.over + usize::from(is) - usize::from(was);
             }
             Change::Cell(shown) => drop(self.shown_unix_s.insert(shown.name.clone(), shown.unix_s)),
             Change::Event(_) | Change::CellGone(_) | Change::ClaimGone(_) | Change::Ended(_) => {}
         }
     }
+}
 
-    fn over(&self) -> usize {
-        self.claims.values().filter(|state| **state == ClaimState::Ended).count()
-    }
+/// The run.
+struct Storm<'o> {
+    options: &'o Options,
+    random: ChaCha8Rng,
+    server: Server,
+    client: Client,
+    cells: Cells,
+    changes: Changes,
+    seen: Seen,
+    killed: usize,
+    server_killed: usize,
+    /// One node of several has gone.
+    away: bool,
+    /// After each return of the server, until the last cell was back, s.
+    backs_s: Vec<f64>,
 }
 
 async fn storm(options: &Options) -> bool {
-    let mut random = ChaCha8Rng::seed_from_u64(options.seed);
-    let mut server = Server::start(&options.nats, options.sync_always);
+    let server = Server::start(&options.nats, options.sync_always, options.nodes);
     let client = connect(&server).await;
-    let mut cells = Cells::start(options.cells, &server.address(), options.takes_ms);
-    let mut seen = Seen::default();
-    let mut changes = client.changes(0).await.unwrap();
-    while seen.shown_unix_s.len() < options.cells {
-        seen.take(changes.next().await.unwrap());
+    let mut storm = Storm {
+        options,
+        random: ChaCha8Rng::seed_from_u64(options.seed),
+        cells: Cells::start(options.cells, &server, options.takes_ms),
+        changes: client.changes(0).await.unwrap(),
+        server,
+        client,
+        seen: Seen::default(),
+        killed: 0,
+        server_killed: 0,
+        away: false,
+        backs_s: Vec::new(),
+    };
+    while storm.seen.shown_unix_s.len() < options.cells {
+        storm.change().await;
     }
     println!("{} cells are there; submitting {} jobs", options.cells, options.jobs);
     let begun = Instant::now();
-    let submitting = tokio::spawn(submit(connect(&server).await, options.jobs));
-    let (mut killed, mut server_killed, mut backs_s) = (0, 0, Vec::new());
-    let mut said = 0;
-    // Evenly over the jobs, whatever the speed.
-    let every = |count: usize| options.jobs.checked_div(count + 1).unwrap_or(usize::MAX).max(1);
-    while seen.over() < options.jobs && begun.elapsed() < MOST {
-        // A watch that has ended is begun again; the claims come once more, which does no harm.
-        match tokio::time::timeout(Duration::from_secs(10), changes.next()).await {
-            Ok(Some(Change::Ended(_)) | None) | Err(_) => {
-                if let Ok(again) = client.changes(0).await {
-                    changes = again;
-                }
+    let submitting = tokio::spawn(submit(connect(&storm.server).await, options.jobs, options.pace_ms));
+    let (mut before, mut at, mut longest_pause) = (0, Instant::now(), Duration::ZERO);
+    while storm.seen.over < options.jobs && begun.elapsed() < MOST {
+        storm.change().await;
+        let over = storm.seen.over;
+        if over > before {
+            longest_pause = longest_pause.max(at.elapsed());
+            if over / 1000 > before / 1000 {
+                println!("{over} over after {:.0} s", begun.elapsed().as_secs_f64());
             }
-            Ok(Some(change)) => seen.take(change),
+            (before, at) = (over, Instant::now());
         }
-        let over = seen.over();
-        if over / 1000 > said {
-            said = over / 1000;
-            println!(
-                "{over} over after {:.0} s, {killed} + {server_killed} kills",
-                begun.elapsed().as_secs_f64()
-            );
-        }
-        if killed < options.kills && over >= (killed + 1) * every(options.kills) {
-            cells.kill(random.random_range(0..options.cells));
-            killed += 1;
-        }
-        if server_killed < options.server_kills && over >= (server_killed + 1) * every(options.server_kills) {
-            server.kill();
-            sleep(Duration::from_millis(random.random_range(0..3000))).await;
-            server.up();
-            server_killed += 1;
-            backs_s.push(back(&client, &mut seen, &mut changes, options.cells).await);
-        }
+        storm.trouble(over).await;
     }
     let new = submitting.await.unwrap();
-    let seconds = begun.elapsed().as_secs_f64();
-    println!(
-        "submitted {new}, ended {}, in {seconds:.0} s; {killed} kills of cells, {server_killed} of the server",
-        seen.over()
-    );
-    backs_s.sort_by(f64::total_cmp);
-    if let (Some(median), Some(longest)) = (backs_s.get(backs_s.len() / 2), backs_s.last()) {
-        println!("all cells back after the server's return: median {median:.2} s, longest {longest:.2} s");
+    let (seconds, over) = (begun.elapsed().as_secs_f64(), storm.seen.over);
+    let (killed, server_killed) = (storm.killed, storm.server_killed);
+    println!("submitted {new}, ended {over}, in {seconds:.0} s");
+    println!("{killed} kills of cells, {server_killed} of the server");
+    println!("longest pause between two jobs that ended: {:.2} s", longest_pause.as_secs_f64());
+    storm.verdict()
+}
+
+impl Storm<'_> {
+    /// The next change. A watch that has ended is begun again; the claims come once more, which does no
+    /// harm.
+    async fn change(&mut self) {
+        match tokio::time::timeout(Duration::from_secs(10), self.changes.next()).await {
+            Ok(Some(Change::Ended(_)) | None) | Err(_) => self.follow_again().await,
+            Ok(Some(change)) => self.seen.take(change),
+        }
     }
-    verdict(options, &cells, &mut seen)
+
+    async fn follow_again(&mut self) {
+        if let Ok(again) = self.client.changes(0).await {
+            self.changes = again;
+        }
+    }
+
+    /// What is due when so many jobs are over: evenly over the jobs, whatever the speed.
+    async fn trouble(&mut self, over: usize) {
+        let Options { jobs, kills, server_kills, nodes, cells, .. } = *self.options;
+        let due = |done: usize, all: usize| {
+            done < all && over >= (done + 1) * jobs.checked_div(all + 1).unwrap_or(usize::MAX).max(1)
+        };
+        if nodes > 1 && !self.away && over >= jobs / 2 {
+            println!("one of {nodes} nodes goes away");
+            self.server.kill(0);
+            self.away = true;
+        }
+        if due(self.killed, kills) {
+            self.cells.kill(self.random.random_range(0..cells));
+            self.killed += 1;
+        }
+        if due(self.server_killed, server_kills) {
+            self.server.kill(0);
+            sleep(Duration::from_millis(self.random.random_range(0..3000))).await;
+            self.server.up(0);
+            self.server_killed += 1;
+            let back_s = self.back().await;
+            self.backs_s.push(back_s);
+        }
+    }
+
+    /// How long after the server's return the last cell has shown itself, s.
+    async fn back(&mut self) -> f64 {
+        let (returned, begun) = (now_s(), Instant::now());
+        while begun.elapsed() < Duration::from_secs(60) {
+            let shown = self.client.cells().await.unwrap_or_default();
+            if shown.len() == self.options.cells && shown.iter().all(|cell| cell.unix_s >= returned) {
+                let last = begun.elapsed().as_secs_f64();
+                self.follow_again().await;
+                return last;
+            }
+            sleep(Duration::from_millis(50)).await;
+        }
+        f64::INFINITY
+    }
+
+    /// What the cells' own disks say, against what was submitted.
+    fn verdict(mut self) -> bool {
+        self.backs_s.sort_by(f64::total_cmp);
+        if let (Some(median), Some(longest)) = (self.backs_s.get(self.backs_s.len() / 2), self.backs_s.last())
+        {
+            println!(
+                "all cells back after the server's return: median {median:.2} s, longest {longest:.2} s"
+            );
+        }
+        let mut carried_out: BTreeMap<String, usize> = BTreeMap::new();
+        for number in 0..self.options.cells {
+            for job in cell::carried_out(&self.cells.place(number)) {
+                *carried_out.entry(job).or_default() += 1;
+            }
+        }
+        let is_lost = |number: &usize| !carried_out.contains_key(&format!("job-{number}"));
+        let lost = (0..self.options.jobs).filter(is_lost).count();
+        let twice = carried_out.values().filter(|count| **count > 1).count();
+        let by_two = self.seen.begun_by.values().filter(|cells| cells.len() > 1).count();
+        println!("lost {lost}, carried out twice {twice}, begun by a second cell {by_two}");
+        let after = &mut self.seen.claimed_after_s;
+        after.sort_by(f64::total_cmp);
+        let at =
+            |share: f64| after.get((after.len() as f64 * share) as usize).copied().unwrap_or(f64::NAN) * 1e3;
+        println!("submitted to claimed: median {:.1} ms, p99 {:.1} ms", at(0.5), at(0.99));
+        lost + twice + by_two == 0
+    }
 }
 
 async fn connect(server: &Server) -> Client {
     let access = Access {
-        servers: vec![server.address()],
+        servers: server.addresses(),
         credentials: None,
         authority: None,
         tls: false,
         name: "storm".to_string(),
     };
-    Client::open(&access, Fleet::new(FLEET).unwrap(), "storm", Storage::USUAL).await.unwrap()
+    let storage = Storage { replicas: server.replicas(), ..Storage::USUAL };
+    // A cluster elects who leads it first.
+    for _ in 0..100 {
+        if let Ok(client) = Client::open(&access, Fleet::new(FLEET).unwrap(), "storm", storage).await {
+            return client;
+        }
+        sleep(Duration::from_millis(300)).await;
+    }
+    Client::open(&access, Fleet::new(FLEET).unwrap(), "storm", storage).await.unwrap()
 }
 
 /// Submits all jobs, each again until the server has taken it.
-async fn submit(client: Client, jobs: usize) -> usize {
+async fn submit(client: Client, jobs: usize, pace_ms: u64) -> usize {
     let lane = Lane { priority: Priority::Normal, target: Target::any() };
     let mut on_their_way = FuturesUnordered::new();
     let mut submitted = 0;
     for number in 0..jobs {
+        if pace_ms > 0 {
+            sleep(Duration::from_millis(pace_ms)).await;
+        }
         let (client, lane) = (&client, &lane);
         on_their_way.push(async move {
             let id = format!("job-{number}");
@@ -288,51 +395,4 @@ async fn submit(client: Client, jobs: usize) -> usize {
         submitted += 1;
     }
     submitted
-}
-
-/// How long after the server's return the last cell has shown itself, s.
-async fn back(
-    client: &Client,
-    seen: &mut Seen,
-    changes: &mut cell_fleet::changes::Changes,
-    cells: usize,
-) -> f64 {
-    let returned = now_s();
-    let begun = Instant::now();
-    while begun.elapsed() < Duration::from_secs(60) {
-        let shown = client.cells().await.unwrap_or_default();
-        let last = shown.iter().map(|cell| cell.unix_s - returned).fold(0.0, f64::max);
-        if shown.len() == cells && shown.iter().all(|cell| cell.unix_s >= returned) {
-            if let Ok(again) = client.changes(0).await {
-                *changes = again;
-            }
-            shown.into_iter().for_each(|cell| seen.take(Change::Cell(Box::new(cell))));
-            return last;
-        }
-        sleep(Duration::from_millis(50)).await;
-    }
-    f64::INFINITY
-}
-
-/// What the cells' own disks say, against what was submitted.
-fn verdict(options: &Options, cells: &Cells, seen: &mut Seen) -> bool {
-    let mut carried_out: BTreeMap<String, usize> = BTreeMap::new();
-    for number in 0..options.cells {
-        for job in cell::carried_out(&cells.place(number)) {
-            *carried_out.entry(job).or_default() += 1;
-        }
-    }
-    let lost = (0..options.jobs).filter(|number| !carried_out.contains_key(&format!("job-{number}"))).count();
-    let twice = carried_out.values().filter(|count| **count > 1).count();
-    let by_two = seen.begun_by.values().filter(|cells| cells.len() > 1).count();
-    println!("lost {lost}, carried out twice {twice}, begun by a second cell {by_two}");
-    let after = &mut seen.claimed_after_s;
-    after.sort_by(f64::total_cmp);
-    let at = |share: f64| after.get((after.len() as f64 * share) as usize).copied().unwrap_or(f64::NAN) * 1e3;
-    println!(
-        "submitted to claimed: median {:.1} ms, p99 {:.1} ms (of jobs that waited for a cell too)",
-        at(0.5),
-        at(0.99)
-    );
-    lost + twice + by_two == 0
 }

@@ -17,7 +17,7 @@ const CONNECT_WITHIN: Duration = Duration::from_secs(5);
 pub const ANSWER_WITHIN: Duration = Duration::from_secs(5);
 
 /// Longest wait between two attempts.
-const RETRY_MOST_MS: u64 = 1000;
+const RETRY_MOST_MS: u64 = 500;
 
 /// How a cell shows who it is.
 #[derive(Clone, Debug, PartialEq, Eq)]

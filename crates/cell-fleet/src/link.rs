@@ -8,6 +8,7 @@ use crate::server::{Server, consumer, open};
 use crate::side::Settings;
 use crate::subjects::Lane;
 use async_nats::{Client, Event, jetstream};
+use futures_util::future::try_join_all;
 use std::time::Duration;
 use tokio::sync::mpsc;
 
@@ -75,10 +76,8 @@ pub type Ready = (Client, Server, Vec<(Lane, jetstream::consumer::PullConsumer)>
 
 async fn prepare(client: &Client, settings: &Settings, ack_wait: Duration) -> Result<Ready, ConnectFault> {
     let server = open(client, &settings.fleet, settings.storage).await?;
-    let mut consumers = Vec::new();
-    for lane in Lane::of_cell(&settings.cell, &settings.labels) {
-        let made = consumer(&server.jobs, &settings.fleet, &lane, ack_wait).await?;
-        consumers.push((lane, made));
-    }
-    Ok((client.clone(), server, consumers))
+    let lanes = Lane::of_cell(&settings.cell, &settings.labels);
+    let made = lanes.iter().map(|lane| consumer(&server.jobs, &settings.fleet, lane, ack_wait));
+    let made = try_join_all(made).await?;
+    Ok((client.clone(), server, lanes.into_iter().zip(made).collect()))
 }

@@ -345,7 +345,7 @@ pub struct CellState {
     /// Events that were not delivered yet.
     #[serde(default)]
     pub undelivered: u64,
-    /// Relative vacuum while something was held last, %.
+    /// The most relative vacuum of the last grip, %.
     #[serde(default)]
     pub vacuum_percent: Option<f64>,
     /// How far the reference markers seemed to be off in the last look, mm.

@@ -81,11 +81,14 @@ pub async fn open(client: &Client, fleet: &Fleet, storage: Storage) -> Result<Se
         .query_account()
         .await
         .map_err(|error| ConnectFault::NoJetStream { message: error.to_string() })?;
-    let jobs = stream(&context, jobs_config(fleet, storage)).await?;
-    let events = stream(&context, events_config(fleet, storage)).await?;
-    let claims = bucket(&context, claims_config(fleet, storage)).await?;
-    let cells = bucket(&context, cells_config(fleet, storage)).await?;
-    let config = bucket(&context, fragments_config(fleet, storage)).await?;
+    // At once: after the server's return all cells of a fleet do this, and each answer takes its time.
+    let (jobs, events, claims, cells, config) = tokio::try_join!(
+        stream(&context, jobs_config(fleet, storage)),
+        stream(&context, events_config(fleet, storage)),
+        bucket(&context, claims_config(fleet, storage)),
+        bucket(&context, cells_config(fleet, storage)),
+        bucket(&context, fragments_config(fleet, storage)),
+    )?;
     Ok(Server { context, jobs, events, claims, cells, config })
 }
 
