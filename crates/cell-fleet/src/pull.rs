@@ -23,6 +23,9 @@ const LOST: Duration = Duration::from_secs(12);
 /// A lane whose server does not answer gets the next request after so long.
 const AGAIN: Duration = Duration::from_millis(250);
 
+/// A lane that is refused gets the next request after so long.
+const REFUSED_AGAIN: Duration = Duration::from_secs(1);
+
 struct Puller {
     consumers: Vec<PullConsumer>,
     inbox: String,
@@ -74,8 +77,7 @@ fn is_on(wanted: u64) -> bool {
 }
 
 /// Whether an answer says that a request was served: with a job, or that there is none. Anything else (no
-/// such consumer, too many who wait) would come at once again: that lane is left alone until the request
-/// would count as lost.
+/// such consumer yet, too many who wait) would come at once again.
 fn ends_a_request(status: Option<StatusCode>) -> bool {
     matches!(status, None | Some(StatusCode::NOT_FOUND | StatusCode::TIMEOUT))
 }
@@ -124,7 +126,7 @@ impl Puller {
                         return Some(true);
                     }
                 }
-                () = tokio::time::sleep(EXPIRES) => {}
+                () = tokio::time::sleep(REFUSED_AGAIN) => {}
             }
         }
     }
@@ -148,6 +150,14 @@ impl Puller {
     fn close(&mut self, lane: usize) {
         if let Some(open) = self.open.get_mut(lane) {
             *open = None;
+        }
+    }
+
+    /// The lane counts as open a little longer.
+    fn leave_alone(&mut self, lane: usize) {
+        let since = tokio::time::Instant::now().checked_sub(LOST.saturating_sub(REFUSED_AGAIN));
+        if let Some(open) = self.open.get_mut(lane) {
+            *open = since;
         }
     }
 
@@ -184,8 +194,11 @@ impl Puller {
         if message.status == Some(StatusCode::IDLE_HEARTBEAT) {
             return Some(Answer::None);
         }
-        if let Some(lane) = lane.filter(|_| ends_a_request(message.status)) {
-            self.close(lane);
+        if let Some(lane) = lane {
+            match ends_a_request(message.status) {
+                true => self.close(lane),
+                false => self.leave_alone(lane),
+            }
         }
         if message.status.is_some() || message.reply.is_none() {
             return Some(Answer::None);
