@@ -92,7 +92,8 @@ function side(time) {
 const clock = (time) => new Date((run.began_unix_s + time) * 1000).toLocaleTimeString();
 let now = 0;
 let playing = false;
-const slider = h("input", { type: "range", id: "time", min: 0, max: length, step: 0.05, value: 0, "aria-label": "Time of the run", input: () => { now = Number(slider.value); draw(); } });
+// Its end is a whole number of steps: else the browser stops before the last moment, where a stop is.
+const slider = h("input", { type: "range", id: "time", min: 0, max: Math.ceil(length * 20) / 20, step: 0.05, value: 0, "aria-label": "Time of the run", input: () => { now = Math.min(length, Number(slider.value)); draw(); } });
 const shown = h("output", { for: "time" });
 const speed = h("select", { "aria-label": "Speed" }, ...[1, 2, 5, 10, 30].map((factor) => h("option", { value: factor }, `${factor} x`)));
 const play = h("button", { type: "button", id: "play", click: () => { playing = !playing; if (playing && now >= length) now = 0; draw(); } });
