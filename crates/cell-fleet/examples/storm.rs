@@ -218,11 +218,13 @@ struct Storm<'o> {
 async fn storm(options: &Options) -> bool {
     let server = Server::start(&options.nats, options.sync_always, options.nodes);
     let client = connect(&server).await;
+    // Before the cells come all at once.
+    let changes = client.changes(0).await.unwrap();
     let mut storm = Storm {
         options,
         random: ChaCha8Rng::seed_from_u64(options.seed),
         cells: Cells::start(options.cells, &server, options.takes_ms),
-        changes: client.changes(0).await.unwrap(),
+        changes,
         server,
         client,
         seen: Seen::default(),
