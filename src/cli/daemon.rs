@@ -68,21 +68,17 @@ pub struct RunArgs {
     /// The state folder: jobs, journal, commands.
     #[arg(long, default_value = "state", value_name = "DIR")]
     state: PathBuf,
-    /// Start disarmed, whatever `arm_at_start` says.
-    #[arg(long)]
-    disarmed: bool,
 }
 
 /// Runs the daemon until Ctrl-C or SIGTERM; returns the exit code.
 pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
-    let read = start_with(&args.config, &args.state).and_then(|(mut config, shared)| {
+    let read = start_with(&args.config, &args.state).and_then(|(config, shared)| {
         let calibration = read_calibration(&config)?;
         refuse_recorded_camera(&config)?;
         cell_objects(&config).map_err(|error| error.to_string())?;
-        config.arm_at_start &= !(is_to_start_disarmed(&args.state) || args.disarmed);
         Ok((config, shared, calibration))
     });
-    let (config, shared, calibration) = match read {
+    let (mut config, shared, calibration) = match read {
         Ok(read) => read,
         Err(message) => {
             complain(&message);
@@ -98,6 +94,8 @@ pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
             return 1;
         }
     };
+    // With the lock held: one who is turned away by it does not take the mark from who is not.
+    config.arm_at_start &= !is_to_start_disarmed(&args.state);
     let begin = Begin { config, config_file: args.config.clone(), shared, calibration, state, seed };
     let (anew, state, simulated) = (Anew::default(), begin.state.clone(), begin.config.simulation.is_some());
     watch_for_the_end(anew.clone());

@@ -64,10 +64,12 @@ impl Anew {
         }
         match take() {
             Ok(()) => NextStart::Anew,
-            // With what it ran with before: a cell is not lost to its fleet's configuration.
+            // A start that could not be marked as disarmed is none that celld makes by itself.
             Err(fault) => {
-                complain(&format!("the shared part of the configuration is not taken: {fault}"));
-                NextStart::Anew
+                complain(&format!(
+                    "the shared part of the configuration is not taken, and celld ends: {fault}"
+                ));
+                NextStart::None(1)
             }
         }
     }
@@ -258,6 +260,7 @@ mod tests {
         anew.propose(false);
         assert_eq!(anew.next(0, || Ok(())), NextStart::Anew);
         assert_eq!(anew.next(1, || Ok(())), NextStart::None(1), "it ended with a fault");
+        assert_eq!(anew.next(0, || Err("no room".to_string())), NextStart::None(1), "not marked as disarmed");
         anew.never();
         assert_eq!(anew.next(0, || panic!("nothing is taken")), NextStart::None(0));
         let anew = Anew::default();

