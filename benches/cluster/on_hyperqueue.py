@@ -18,6 +18,7 @@ import argparse
 import contextlib
 import os
 import shlex
+import signal
 import sys
 import tempfile
 import time
@@ -107,6 +108,18 @@ def client(options):
     yield found
 
 
+class CtrlC:
+    """Whether it came: raised within a call of the library it would be lost."""
+
+    came = False
+
+    @staticmethod
+    def note(number, frame):
+        """The handler of the signal."""
+        CtrlC.came = True
+        signal.default_int_handler(number, frame)
+
+
 class Progress:
     """How many runs are done, from the tables of the shards, which grow by a line a run."""
 
@@ -151,6 +164,11 @@ def submit(found, benchmark, left):
             return {}
         failed = found.get_failed_tasks(submitted)
     except Exception as error:
+        # A server in this process ends by the same Ctrl-C, and its end can come here before Python's signal,
+        # which is raised within the pause at the latest.
+        time.sleep(0.2)
+        if CtrlC.came:
+            raise KeyboardInterrupt from None
         raise Trouble(f"the server was lost: {plain(error)}\nthe same command goes on from there") from error
     return {left[task]: context for task, context in failed.items()}
 
@@ -211,6 +229,7 @@ def with_out(options, out):
 def main():
     """Runs or measures."""
     options = arguments()
+    signal.signal(signal.SIGINT, CtrlC.note)
     work = speedup if options.speedup else run
     sys.exit(shards.ended("on_hyperqueue", lambda: work(options)))
 
