@@ -238,6 +238,24 @@ fn a_manifest_that_needs_more_than_its_row_is_flagged() {
 }
 
 #[test]
+fn a_manifest_that_needs_what_its_row_excepts_is_flagged() {
+    const TABLE: &[Row] = &[
+        Row { module: "low-er", uses: Uses::Only(&[]), pure: true },
+        Row { module: "si-de", uses: Uses::Only(&[]), pure: true },
+        Row { module: "rearrange", uses: Uses::AllAbove { but: &["si-de"], also: &[] }, pure: true },
+        Row { module: "high-er", uses: Uses::Only(&[]), pure: true },
+    ];
+    let manifest = |uses: &str| {
+        let text = format!("[dependencies]\n{uses}serde.workspace = true\n");
+        rules::manifest_breaches(TABLE, &[File::planted("crates/rearrange/Cargo.toml", &text)])
+    };
+    flagged(manifest(""), &[]);
+    flagged(manifest("low-er.workspace = true\n"), &[]);
+    flagged(manifest("si-de.workspace = true\n"), &["\"si-de\""]);
+    flagged(manifest("high-er.workspace = true\n"), &["\"high-er\""]);
+}
+
+#[test]
 fn a_written_table_that_drifts_is_flagged() {
     let good = "\n## Modules\n\n| module | job | may use |\n|---|---|---|\n| `low` | a | - |\n\
                 | `side` | b | - |\n\

@@ -193,13 +193,21 @@ pub fn manifest_breaches(table: &[Row], manifests: &[File]) -> Vec<String> {
     let mut breaches = Vec::new();
     for manifest in manifests {
         let Some(row) = top_module(&manifest.path).and_then(|name| position(table, name)) else { continue };
-        let Uses::Only(names) = &table[row].uses else { continue };
         let is_room = |name: &&str| position(table, name).is_some();
         let needed: Vec<&str> =
             dependencies(&manifest.text, "[dependencies]").into_iter().filter(is_room).collect();
-        let mut wanted: Vec<&str> =
-            names.iter().map(|name| name.split("::").next().unwrap_or(name)).collect();
-        wanted.dedup();
+        let top = |name: &'static str| name.split("::").next().unwrap_or(name);
+        let wanted: Vec<&str> = match &table[row].uses {
+            Uses::Only(names) => {
+                let mut names: Vec<&str> = names.iter().map(|name| top(name)).collect();
+                names.dedup();
+                names
+            }
+            // What it could use, and does not, is no breach.
+            Uses::AllAbove { .. } => {
+                needed.iter().copied().filter(|name| allows(table, table[row].module, name)).collect()
+            }
+        };
         if needed != wanted {
             breaches.push(format!("{}: depends on {needed:?}, the table says {wanted:?}", manifest.path));
         }
