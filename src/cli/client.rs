@@ -50,8 +50,8 @@ impl StateArg {
 /// Why a command did not come about. All are exit code 1.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum ClientError {
-    #[error("no daemon runs on the state folder {0}; start it with `celld run --config ... --state {0}`")]
-    NoDaemon(PathBuf),
+    #[error("no daemon runs on the state folder {state}; {start} starts it")]
+    NoDaemon { state: PathBuf, start: String },
     #[error("celld is starting and takes no orders yet: {0}; `celld doctor` says what is missing")]
     Starting(String),
     #[error("the daemon did not take the command within {0} s; see `celld status`")]
@@ -106,7 +106,7 @@ pub(super) fn request_at_start(state: &StateFolder, command: &Command) -> Result
         let answered = running_daemon(state).and_then(|status| sent(state, &status.daemon, command));
         match answered {
             // Its status may still be that of an earlier daemon, whose name no command reaches.
-            Err(ClientError::NoDaemon(_) | ClientError::NoAnswer(_) | ClientError::NoReply(_))
+            Err(ClientError::NoDaemon { .. } | ClientError::NoAnswer(_) | ClientError::NoReply(_))
                 if begun.elapsed() < START_WITHIN && state.is_taken()? =>
             {
                 std::thread::sleep(LOOK_EVERY);
@@ -136,9 +136,22 @@ fn sent(state: &StateFolder, daemon: &str, command: &Command) -> Result<Reply, C
 
 /// The status of the daemon that runs on `state`.
 fn running_daemon(state: &StateFolder) -> Result<Status, ClientError> {
-    let none = || ClientError::NoDaemon(state.root().to_owned());
+    let status = Status::read(&state.status())?;
+    let none = |last: Option<&Status>| ClientError::NoDaemon {
+        state: state.root().to_owned(),
+        start: start_line(state, last),
+    };
     if !state.is_taken()? {
-        return Err(none());
+        return Err(none(status.as_ref()));
     }
-    Status::read(&state.status())?.ok_or_else(none)
+    status.ok_or_else(|| none(None))
+}
+
+/// The command that starts the daemon on a state folder: with the configuration that ran there last.
+pub(super) fn start_line(state: &StateFolder, last: Option<&Status>) -> String {
+    if state.root() == Path::new(INSTALLED) {
+        return "`systemctl start celld`".to_string();
+    }
+    let config = last.map(|status| status.config.as_str()).filter(|config| !config.is_empty());
+    format!("`celld run --config {} --state {}`", config.unwrap_or("..."), state.root().display())
 }

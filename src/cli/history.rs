@@ -7,9 +7,10 @@ use crate::cli::client::{ClientError, Format, StateArg, complain};
 use crate::cli::task::outln;
 use crate::config::load::load_cell;
 use crate::daemon::job_report::job_report;
-use crate::jobs::history::{JobFilter, since, story};
+use crate::daemon::recordings_folder::recordings_of;
+use crate::jobs::history::{JobFilter, planned_moves, since, story};
 use crate::jobs::journal::Journal;
-use crate::jobs::record::{JobRecord, quoted};
+use crate::jobs::record::{JobRecord, StepRecord, quoted};
 use crate::jobs::state::StateFolder;
 use crate::jobs::status::Status;
 use crate::jobs::utc;
@@ -18,7 +19,7 @@ use crate::report::text::{columns, or_dash};
 use cell_edge::clock::unix_now_s;
 use cell_edge::files::write_whole;
 use clap::Args;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Arguments of `celld jobs`.
 #[derive(Args, Debug)]
@@ -88,7 +89,7 @@ pub(super) fn jobs(args: &JobsArgs) -> Result<u8, ClientError> {
         }
         Format::Text if records.is_empty() => outln!("no such jobs"),
         Format::Text => {
-            let rows: Vec<_> = records.iter().map(job_row).collect();
+            let rows = table_rows(&args.state.folder(), &records)?;
             outln!("{}", columns(&["job", "state", "claimed", "moves", "code"], &rows));
         }
     }
@@ -101,13 +102,23 @@ fn journal(state: &StateFolder) -> Result<Option<Journal>, ClientError> {
     Ok(if path.exists() { Some(Journal::open_to_read(&path)?) } else { None })
 }
 
-fn job_row(job: &JobRecord) -> Vec<String> {
+fn table_rows(state: &StateFolder, records: &[JobRecord]) -> Result<Vec<Vec<String>>, ClientError> {
+    let Some(journal) = journal(state)? else { return Ok(Vec::new()) };
+    records.iter().map(|job| Ok(job_row(job, &journal.steps(&job.id)?))).collect()
+}
+
+fn job_row(job: &JobRecord, steps: &[StepRecord]) -> Vec<String> {
     let result = job.result.as_ref();
+    // What a plan had left says more of a job that did not end well than what it made.
+    let moves = |made: usize| match planned_moves(job, steps).filter(|planned| *planned > made) {
+        Some(planned) => format!("{made} of {planned}"),
+        None => made.to_string(),
+    };
     vec![
         job.id.clone(),
         job.state.to_string(),
         utc::text(job.claimed_unix_s),
-        or_dash(result, |result| result.moves.to_string()),
+        or_dash(result, |result| moves(result.moves as usize)),
         or_dash(result, |result| result.code.clone()),
     ]
 }
@@ -134,6 +145,7 @@ pub(super) fn why(args: &WhyArgs) -> Result<u8, ClientError> {
     };
     if let Some(job) = job {
         cell_edge::terminal::print(&story(&job, &journal.steps(&job.id)?));
+        cell_edge::terminal::print(&more(&state, &job.id)?);
         return Ok(0);
     }
     let stem = |name: &str| format!("{name}.yaml");
@@ -144,6 +156,27 @@ pub(super) fn why(args: &WhyArgs) -> Result<u8, ClientError> {
     let Some(rejection) = rejected else { return Ok(unknown(&args.job)) };
     outln!("{} was refused ({})\n\n{}", rejection.name, rejection.code, rejection.reason.trim_end());
     Ok(0)
+}
+
+/// What hangs on the gripper, whatever job put it there, and what shows more of this one.
+fn more(state: &StateFolder, job: &str) -> Result<String, ClientError> {
+    let mut lines = Vec::new();
+    let status = Status::read(&state.status())?;
+    if let Some(Status { holding: Some(held), written_unix_s, .. }) = &status {
+        lines.push(match state.is_taken()? {
+            true => format!("the gripper now: {held}"),
+            false => format!("the gripper when celld was there last, {}: {held}", utc::text(*written_unix_s)),
+        });
+    }
+    let option = format!("--state {}", state.root().display());
+    lines.push(format!("`celld report {job} {option}` makes a page of it with plan and pictures"));
+    // Without a readable configuration there is nothing to add: the story is complete.
+    let cell = status.and_then(|status| load_cell(Path::new(&status.config)).ok());
+    let recorded = cell.and_then(|cell| cell.recording).map(|to| recordings_of(&to.folder, job));
+    lines.extend(recorded.iter().flatten().map(|file| {
+        format!("`celld replay {} --page {job}-run.html` shows the run moment by moment", file.display())
+    }));
+    Ok(format!("\n{}\n", lines.join("\n")))
 }
 
 fn unknown(job: &str) -> u8 {
@@ -190,7 +223,6 @@ mod tests {
     use cell_edge::files::FileIdentity;
     use cell_machine::code::JobStatus;
     use rearrange::geometry::pose::Pose2;
-    use std::path::Path;
 
     fn state_of(folder: &Path) -> StateArg {
         StateArg { state: Some(folder.to_path_buf()) }
@@ -257,6 +289,29 @@ mod tests {
         }
         assert_eq!(report(&args("other", Some(config))).unwrap(), 1);
         assert_eq!(report(&args("tidy", None)).unwrap(), 2, "no daemon has said where its configuration is");
+    }
+
+    #[test]
+    fn a_job_s_row_has_the_moves_made_and_planned() {
+        let folder = tempfile::tempdir().unwrap();
+        let state = with_a_job(folder.path()).folder();
+        let records = journal(&state).unwrap().unwrap().search(&JobFilter::default(), 5).unwrap();
+        let rows = table_rows(&state, &records).unwrap();
+        assert_eq!(rows.first().map(|row| row[3].as_str()), Some("0 of 1"), "{rows:?}");
+    }
+
+    #[test]
+    fn after_the_story_comes_what_hangs_on_the_gripper_and_where_more_is_shown() {
+        let folder = tempfile::tempdir().unwrap();
+        let state = with_a_job(folder.path()).folder();
+        assert!(!more(&state, "tidy").unwrap().contains("gripper"), "nothing is known of it");
+        let status = Status { holding: Some("holds lid".into()), written_unix_s: 1.7e9, ..Status::default() };
+        status.write(&state.status()).unwrap();
+        let text = more(&state, "tidy").unwrap();
+        assert!(text.contains("when celld was there last, 2023-11-14T22:13:20Z: holds lid"), "{text}");
+        assert!(text.contains("`celld report tidy --state "), "{text}");
+        let _lock = state.take(&status).unwrap();
+        assert!(more(&state, "tidy").unwrap().contains("the gripper now: holds lid"));
     }
 
     #[test]

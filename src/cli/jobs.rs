@@ -3,7 +3,7 @@
 //! In: arguments. Out: what came of it on stdout, exit code 0, 1 or 2. `submit`, `jobs` and `status` work
 //! with the daemon off; every other command is refused then, and never stored for a later daemon.
 
-use crate::cli::client::{ClientError, Format, StateArg, complain, request};
+use crate::cli::client::{ClientError, Format, StateArg, complain, request, start_line};
 use crate::cli::history::{self, JobsArgs, ReportArgs, WhyArgs};
 use crate::cli::open::{self, OpenArgs};
 use crate::cli::submit::{SubmitArgs, submit};
@@ -12,7 +12,6 @@ use crate::cli::watch::WatchArgs;
 use crate::jobs::command::{Command, ReleaseChannel};
 use crate::jobs::state::StateFolder;
 use crate::jobs::status::Status;
-use crate::jobs::utc;
 use cell_machine::orders::{Reply, WayBack};
 use clap::{Args, Subcommand, ValueEnum};
 
@@ -213,14 +212,16 @@ fn status(state: &StateFolder, format: Format) -> Result<u8, ClientError> {
     }
     match status {
         Some(status) if running => outln!("{}", status.text()),
-        Some(status) => outln!(
-            "no daemon runs on {}; the last one, {}, was {} at {}",
-            state.root().display(),
-            status.daemon,
-            status.state,
-            utc::text(status.written_unix_s)
-        ),
-        None => outln!("no daemon runs on {}", state.root().display()),
+        Some(last) => {
+            outln!("no daemon runs on {}; the last one was {}", state.root().display(), last.daemon);
+            outln!("{}", last.last_words());
+            let held = match last.holding {
+                Some(_) => "; what it held may still hang there: `celld recover` then shows the ways back",
+                None => "",
+            };
+            outln!("  to do: {} starts it{held}", start_line(state, Some(&last)));
+        }
+        None => outln!("no daemon runs on {}; {} starts it", state.root().display(), start_line(state, None)),
     }
     Ok(u8::from(!running))
 }
@@ -272,11 +273,11 @@ mod tests {
     fn without_a_daemon_nothing_is_stored_for_the_next_one() {
         let folder = tempfile::tempdir().unwrap();
         let state = StateFolder::new(folder.path());
-        assert!(matches!(send(&state, &Command::Arm), Err(ClientError::NoDaemon(_))));
+        assert!(matches!(send(&state, &Command::Arm), Err(ClientError::NoDaemon { .. })));
         let lock = state.take(&Status::default()).unwrap();
         Status { daemon: "d1".into(), ..Status::default() }.write(&state.status()).unwrap();
         drop(lock);
-        assert!(matches!(send(&state, &Command::Arm), Err(ClientError::NoDaemon(_))));
+        assert!(matches!(send(&state, &Command::Arm), Err(ClientError::NoDaemon { .. })));
         assert_eq!(std::fs::read_dir(state.commands()).unwrap().count(), 0);
     }
 

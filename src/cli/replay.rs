@@ -18,7 +18,11 @@ use crate::io::recording::{ABOUT, Recording, log_time_at};
 use crate::jobs::status::Status;
 use crate::report::replay_page::replay_page;
 use cell_edge::terminal::{complain, print};
-use cell_replay::{Difference, Kind, Piece, Replay, Replayed};
+use cell_machine::event::{Effect, News};
+use cell_machine::machine::Machine;
+use cell_machine::supervisor::cell::Supervisor;
+use cell_machine::supervisor::order::JobReport;
+use cell_replay::{Difference, Kind, Piece, Replay, Replayed, effect_of};
 use cell_values::time::Timestamp;
 use clap::{Args, Subcommand};
 use indicatif::ProgressBar;
@@ -104,7 +108,8 @@ fn replay(args: &ReplayArgs) -> Result<u8, String> {
     let pictures = args.detect.then(Pictures::new).transpose().map_err(|error| chain(&error))?;
     let title = args.file.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let page = args.page.as_ref().map(|_| Playback::new(title, 0.0));
-    let mut run = Run { replay: Replay::default(), about: About::default(), pictures, page };
+    let (replay, about, jobs) = (Replay::default(), About::default(), Vec::new());
+    let mut run = Run { replay, about, pictures, page, jobs };
     let (mut test, mut read) = (None, 0_u64);
     let mut difference = None;
     let bar = ProgressBar::new_spinner();
@@ -149,7 +154,7 @@ fn replay(args: &ReplayArgs) -> Result<u8, String> {
         let none = "it holds no decisions; `recording: {decisions: true}` records them".to_string();
         return Err(located(none));
     }
-    run.outcome(difference.as_ref(), args.page.as_deref())
+    run.outcome(difference.as_ref(), &args.file, args.page.as_deref())
 }
 
 /// A recording on its way through the replay.
@@ -158,6 +163,8 @@ struct Run {
     about: About,
     pictures: Option<Pictures>,
     page: Option<Playback>,
+    /// How jobs ended, a sentence each.
+    jobs: Vec<String>,
 }
 
 impl Run {
@@ -168,6 +175,11 @@ impl Run {
             pictures.take(entry, kind);
         }
         let found = kind.map_or(Ok(None), |kind| self.replay.take(kind, &entry.data))?;
+        if kind == Some(Kind::Effect)
+            && let Some(Effect::Notify(News::Ended(report))) = effect_of(&entry.data)
+        {
+            self.jobs.push(ended(&report));
+        }
         if let Some(page) = &mut self.page {
             page.take(entry, &self.replay, self.about.epoch_unix_s);
         }
@@ -175,8 +187,9 @@ impl Run {
     }
 
     /// Prints what came of it, and writes the page; the exit code.
-    fn outcome(self, difference: Option<&Difference>, to: Option<&Path>) -> Result<u8, String> {
+    fn outcome(self, difference: Option<&Difference>, from: &Path, to: Option<&Path>) -> Result<u8, String> {
         print(&text(&self.replay.so_far(), difference, &self.about));
+        print(&last_words(&self.jobs, self.replay.machine()));
         let changed = self.pictures.map(Pictures::finish).is_some_and(|(text, changed)| {
             print(&text);
             changed
@@ -185,9 +198,28 @@ impl Run {
             let html = replay_page(&page.finish()).map_err(|error| error.to_string())?;
             std::fs::write(to, html).map_err(|error| format!("{}: {error}", to.display()))?;
             eprintln!("{} shows the run in any browser", to.display());
+        } else {
+            eprintln!("`celld replay --page run.html {}` shows the run in any browser", from.display());
         }
         Ok(u8::from(difference.is_some() || changed))
     }
+}
+
+fn ended(report: &JobReport) -> String {
+    let hint = if report.hint.is_empty() { String::new() } else { format!("\n  to do: {}", report.hint) };
+    format!("job {} {}: {} ({}){hint}", report.id, report.end, report.message, report.code_text())
+}
+
+/// How the run ended: its jobs, and how the cell was at the last moment that was replayed.
+fn last_words(jobs: &[String], machine: Option<&Machine>) -> String {
+    let mut lines = jobs.to_vec();
+    if let Some(status) = machine.and_then(|machine| machine.supervisor()).map(Supervisor::status) {
+        let armed = if status.armed { "armed" } else { "disarmed" };
+        lines.push(format!("at its end the cell was {armed}: {}", status.text()));
+        lines.extend(status.held.map(|held| format!("  gripper: {held}")));
+        lines.extend(status.stopped.map(|stop| format!("  stopped: {} ({})", stop.message, stop.code)));
+    }
+    lines.iter().map(|line| format!("{line}\n")).collect()
 }
 
 fn different_version(error: &cell_replay::Unreadable, about: &About) -> String {

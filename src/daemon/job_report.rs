@@ -5,7 +5,7 @@
 
 use crate::config::cell::CellConfig;
 use crate::daemon::plan_files;
-use crate::jobs::history::story;
+use crate::jobs::history::{how_far, story_lines};
 use crate::jobs::record::{GoalPose, JobRecord, JobState, StepKind, StepPhase, StepRecord};
 use crate::jobs::utc;
 use crate::report::plan_animation::FILM_CAPTION;
@@ -63,27 +63,27 @@ fn objects(result: &crate::jobs::record::JobResult) -> Vec<ObjectRow> {
 
 fn moves(steps: &[StepRecord], started_unix_s: Option<f64>) -> Vec<MoveRow> {
     let mut before = started_unix_s;
-    let done = steps.iter().filter(|step| step.phase == StepPhase::Done);
-    done.map(|step| {
-        let seconds = before.map(|before| step.changed_unix_s - before);
+    let row = |step: &StepRecord| {
+        let done = step.phase == StepPhase::Done;
+        let seconds = before.filter(|_| done).map(|before| step.changed_unix_s - before);
         before = Some(step.changed_unix_s);
         let intent = &step.intent;
-        let buffer = intent.kind == StepKind::Buffer;
         MoveRow {
             object: intent.object.clone(),
-            buffer,
+            buffer: intent.kind == StepKind::Buffer,
             from: intent.from,
             to: intent.to,
+            unfinished: (!done).then(|| how_far(step)),
             seconds,
             vacuum: None,
         }
-    })
-    .collect()
+    };
+    steps.iter().map(row).collect()
 }
 
 /// The pictures that the daemon has left in the job's folder.
 fn pictures(folder: &Path) -> Vec<Picture> {
-    let named = [("plan.jpg", "When the plan was made"), ("end.jpg", "At the end")];
+    let named = [("plan.jpg", "When the plan was made"), ("end.jpg", "The last picture of the job")];
     let read = |(name, caption): (&str, &str)| {
         let bytes = std::fs::read(folder.join(name)).ok()?;
         Some(Picture { caption: caption.to_string(), media_type: "image/jpeg", bytes })
@@ -127,14 +127,12 @@ fn drawings(job: &JobRecord, cell: &CellConfig) -> Vec<Drawing> {
 
 /// The story, a line each.
 fn log(job: &JobRecord, steps: &[StepRecord]) -> Vec<LogRow> {
-    let story = story(job, steps);
-    let lines = story.lines().filter(|line| line.contains("Z  "));
-    let row = |line: &str| {
-        let (time, text) = line.split_once("Z  ")?;
-        let seconds = utc::parse(&format!("{time}Z"))? - job.claimed_unix_s;
-        Some(LogRow { seconds, level: "info", text: text.to_string() })
+    let mut last = job.claimed_unix_s;
+    let row = |(at, text): (Option<f64>, String)| {
+        last = at.unwrap_or(last);
+        LogRow { seconds: last - job.claimed_unix_s, level: "info", text }
     };
-    lines.filter_map(row).collect()
+    story_lines(job, steps).into_iter().map(row).collect()
 }
 
 fn settings(job: &JobRecord) -> Vec<(String, String)> {

@@ -5,9 +5,12 @@
 //! encoding takes longer than the loop may stop.
 
 use crate::daemon::messages::Displayed;
+use crate::jobs::utc;
+use cell_edge::clock::unix_now_s;
 use cell_values::image::Image;
 use cell_vision::annotate::draw_detections;
 use cell_vision::annotate::moves::{DrawnMove, draw_moves};
+use cell_vision::annotate::raster;
 use cell_vision::camera::CameraModel;
 use cell_vision::detect::Detection;
 use nalgebra::Isometry3;
@@ -15,6 +18,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// Of JPEG: markers stay legible, a picture takes some 100 KB.
 const QUALITY: u8 = 85;
+
+/// Pixels of a dot of the letters of its time.
+const DATE_SCALE: i32 = 2;
 
 /// A picture, what was found in it and where it was taken from.
 pub struct Kept {
@@ -24,6 +30,8 @@ pub struct Kept {
     pub found: Vec<Detection>,
     /// Where the camera was; `None` where nothing was made of the picture.
     pub table_from_camera: Option<Isometry3<f64>>,
+    /// When it came, s since 1970.
+    pub unix_s: f64,
 }
 
 /// A picture, and whether it was taken for the job under way.
@@ -47,7 +55,8 @@ impl LastPicture {
         if let Displayed::Picture { image, views } = displayed {
             let found = views.iter().flat_map(|view| view.detections.iter().cloned()).collect();
             let table_from_camera = views.last().map(|view| view.table_from_camera);
-            let kept = Arc::new(Kept { image: image.clone(), found, table_from_camera });
+            let (image, unix_s) = (image.clone(), unix_now_s());
+            let kept = Arc::new(Kept { image, found, table_from_camera, unix_s });
             *self.kept.lock().unwrap_or_else(PoisonError::into_inner) = Some((kept, true));
         }
     }
@@ -86,8 +95,16 @@ impl LastPicture {
         {
             tracing::warn!(%error, "the moves could not be drawn on the picture");
         }
+        dated(&mut image, kept.unix_s);
         image.encode_jpeg(QUALITY).ok()
     }
+}
+
+/// The time in the lower left corner: a picture is taken out of its folder, and looked at much later.
+fn dated(image: &mut Image, unix_s: f64) {
+    let words = utc::text(unix_s);
+    let at = [f64::from(DATE_SCALE * 3) * (words.len() as f64 + 1.0), f64::from(image.height) - 14.0];
+    raster::text(image, at, &words, [255; 3], i64::from(DATE_SCALE));
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ use cell_machine::event::{Effect, Event, News};
 use cell_machine::machine::Machine;
 use cell_machine::supervisor::model::CellModel;
 use cell_machine::supervisor::order::RouteAction;
-use cell_machine::supervisor::status::{Doing, Status, WorkStep};
+use cell_machine::supervisor::status::{Status, StopNote};
 use cell_motion::bodies::Bodies;
 use cell_replay::{Kind, Replay, effect_of, event_of};
 use cell_values::time::{Duration, Timestamp};
@@ -50,7 +50,7 @@ pub struct Playback {
     began: Option<Timestamp>,
     arm_at: Option<Timestamp>,
     arm: Option<Joints>,
-    doing: Option<Doing>,
+    held: Option<String>,
     /// The object on the gripper, by its place in the catalogue, and how it hangs there.
     carried: Option<(usize, Pose2)>,
 }
@@ -64,9 +64,11 @@ impl Playback {
         }
     }
 
-    /// The same where the cell's time 0 was then, s since 1970; before anything is taken.
+    /// The same where the cell's time 0 was then, s since 1970; once something was taken, nothing changes.
     pub fn since(mut self, epoch_unix_s: f64) -> Playback {
-        self.run.began_unix_s = epoch_unix_s;
+        if self.began.is_none() {
+            self.run.began_unix_s = epoch_unix_s;
+        }
         self
     }
 
@@ -94,6 +96,7 @@ impl Playback {
             }
             Some(Kind::Effect) => {
                 if let Some(effect) = effect_of(&entry.data) {
+                    self.held = held_by(replay.machine());
                     self.effect(replay.so_far().until, &effect);
                 }
             }
@@ -121,6 +124,7 @@ impl Playback {
         if let Event::Observed(_, Ok(seen)) = event {
             self.seen(seconds, seen);
         }
+        self.held = held_by(machine);
         let q = machine.and_then(|machine| machine.robot_state()).map(|state| state.q);
         if let (Some(model), Some(q)) = (model, q)
             && self.arm_at.is_none_or(|last| at.since(last) >= ARM_EVERY)
@@ -160,15 +164,23 @@ impl Playback {
     }
 
     fn status(&mut self, at: f64, status: &Status) {
-        self.doing = Some(status.doing.clone());
+        let in_words = |stop: &StopNote| {
+            let hint = if stop.hint.is_empty() { String::new() } else { format!("; to do: {}", stop.hint) };
+            format!("{} ({}){hint}", stop.message, stop.code.as_str())
+        };
         let state = RecordedState {
             text: status.text(),
             armed: status.armed,
             job: status.job.clone(),
             moves: status.moves,
             held: status.held.clone(),
-            stopped: status.stopped.as_ref().map(|stop| format!("{} ({})", stop.message, stop.code.as_str())),
-            hint: status.hint.clone(),
+            carried: self.held.clone().filter(|_| status.held.is_some()),
+            stopped: status.stopped.as_ref().map(in_words),
+            // What the stop has to say is said with it.
+            hint: match &status.stopped {
+                Some(stop) if stop.hint == status.hint => String::new(),
+                _ => status.hint.clone(),
+            },
         };
         if self.run.states.last().is_none_or(|(_, last)| *last != state) {
             self.run.states.push((at, state));
@@ -223,12 +235,8 @@ impl Playback {
 
     /// What hangs on the tool goes where it goes.
     fn carry(&mut self, at: f64, tool: &Pose2) {
-        let carries = match &self.doing {
-            Some(Doing::Working(WorkStep::Carrying | WorkStep::Releasing, object)) => {
-                self.run.objects.iter().position(|known| known.id == *object)
-            }
-            _ => None,
-        };
+        let carries =
+            self.held.as_ref().and_then(|held| self.run.objects.iter().position(|known| known.id == *held));
         let Some(index) = carries else {
             self.carried = None;
             return;
@@ -267,20 +275,17 @@ fn page_within(title: String, files: &[PathBuf], most: u64) -> Result<String, St
         ));
     }
     let mut page = Playback::new(title, 0.0);
-    let (mut epoch, mut decided) = (None, false);
+    let mut decided = false;
     for path in files {
         let located = |what: String| format!("{}: {what}", path.display());
         let file = File::open(path).map_err(|error| located(error.to_string()))?;
-        let mut replay = Replay::default();
+        let (mut replay, mut epoch) = (Replay::default(), 0.0);
         for item in Items::new(BufReader::new(file)) {
             match item {
                 Ok(Item::About(metadata)) if metadata.name == ABOUT => {
                     let text = metadata.metadata.get("epoch_unix_s");
-                    let found: f64 = text.and_then(|text| text.parse().ok()).unwrap_or(0.0);
-                    if epoch.is_none() {
-                        page = page.since(found);
-                    }
-                    epoch.get_or_insert(found);
+                    epoch = text.and_then(|text| text.parse().ok()).unwrap_or(0.0);
+                    page = page.since(epoch);
                 }
                 Ok(Item::About(_)) => {}
                 Ok(Item::Message(entry)) => {
@@ -290,7 +295,7 @@ fn page_within(title: String, files: &[PathBuf], most: u64) -> Result<String, St
                     if taken.map_err(|error| located(error.to_string()))?.is_some() {
                         break;
                     }
-                    page.take(&entry, &replay, epoch.unwrap_or(0.0));
+                    page.take(&entry, &replay, epoch);
                 }
                 // Its writer is at work on it, or was killed: what is there is shown.
                 Err(_) => break,
@@ -304,6 +309,11 @@ fn page_within(title: String, files: &[PathBuf], most: u64) -> Result<String, St
         );
     }
     replay_page(&page.finish()).map_err(|error| error.to_string())
+}
+
+/// The object on the gripper.
+fn held_by(machine: Option<&Machine>) -> Option<String> {
+    machine.and_then(|machine| machine.supervisor()?.object_on_the_gripper()).map(str::to_string)
 }
 
 /// Of the frames 0 to 6 and the flange, in the base frame, m.

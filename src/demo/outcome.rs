@@ -75,8 +75,8 @@ pub fn report(outcome: &DemoOutcome, instance: &Instance, choice: &DemoChoice) -
             moves: job.map_or(kept.done.len(), |job| job.moves),
             buffers: kept.done.iter().filter(|(step, _)| !step.to_goal).count(),
             lower_bound: job.and_then(|job| job.lower_bound),
-            plans: kept.plans,
-            looks: kept.looks,
+            plans: Some(kept.plans),
+            looks: Some(kept.looks),
             planning_s: job.map(|job| job.planning_seconds),
             cycle_s: job.map(|job| job.seconds),
             tolerance_mm: GOOD_MM,
@@ -116,7 +116,8 @@ fn moves(kept: &Kept) -> Vec<MoveRow> {
         .map(|(RouteAction { object, from, to, to_goal }, at)| {
             let seconds = before.map(|before| at.since(before).as_secs_f64());
             before = Some(*at);
-            MoveRow { object: object.clone(), buffer: !to_goal, from: *from, to: *to, seconds, vacuum: None }
+            let (object, buffer) = (object.clone(), !to_goal);
+            MoveRow { object, buffer, from: *from, to: *to, unfinished: None, seconds, vacuum: None }
         })
         .collect()
 }

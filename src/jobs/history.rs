@@ -32,10 +32,18 @@ pub fn since(text: &str, now_unix_s: f64) -> Option<f64> {
 /// The story of a job.
 pub fn story(job: &JobRecord, steps: &[StepRecord]) -> String {
     let mut text = head(job);
-    let mut at = |unix_s: Option<f64>, what: String| {
+    for (unix_s, what) in story_lines(job, steps) {
         let time = unix_s.map_or_else(|| " ".repeat(20), utc::text);
         let _ = writeln!(text, "{time}  {what}");
-    };
+    }
+    text.push_str(&objects(job));
+    text
+}
+
+/// What happened, with its time (s since 1970) where that is known, in order.
+pub fn story_lines(job: &JobRecord, steps: &[StepRecord]) -> Vec<(Option<f64>, String)> {
+    let mut lines = Vec::new();
+    let mut at = |unix_s: Option<f64>, what: String| lines.push((unix_s, what));
     let priority = match job.spec.priority {
         0 => String::new(),
         other => format!(", priority {other}"),
@@ -62,8 +70,14 @@ pub fn story(job: &JobRecord, steps: &[StepRecord]) -> String {
         let used = if used.is_empty() { String::new() } else { format!(" (s: {})", used.join(", ")) };
         at(job.ended_unix_s, format!("{} after {:.1} s{used}", result.status, result.seconds));
     }
-    text.push_str(&objects(job));
-    text
+    lines
+}
+
+/// Pick-n-places that the job would have made by its last plan; `None` without one.
+pub fn planned_moves(job: &JobRecord, steps: &[StepRecord]) -> Option<usize> {
+    let plan = job.plan.as_ref().filter(|plan| !plan.preview)?;
+    let before = |step: &&StepRecord| step.phase == StepPhase::Done && step.changed_unix_s < plan.unix_s;
+    Some(steps.iter().filter(before).count() + plan.steps.len())
 }
 
 /// What matters first: how it ended and what to do.
@@ -85,19 +99,23 @@ fn head(job: &JobRecord) -> String {
     text
 }
 
-fn step_words(StepRecord { intent, phase, .. }: &StepRecord) -> String {
+fn step_words(step: &StepRecord) -> String {
+    format!("{} {}", step.intent.object, how_far(step))
+}
+
+/// How far the object of a step came.
+pub fn how_far(StepRecord { intent, phase, .. }: &StepRecord) -> String {
     let to = match intent.kind {
         StepKind::Goal => "its goal",
         StepKind::Buffer => "a temporary place",
     };
-    let far = match phase {
+    match phase {
         StepPhase::Done => format!("moved to {to}"),
         StepPhase::Intent => format!("was to be moved to {to}: begun, how far is not known"),
         StepPhase::Gripped => format!("was gripped, on its way to {to}"),
         StepPhase::Released => format!("was let go at {to}"),
         StepPhase::Abandoned => format!("was to be moved to {to}; given up"),
-    };
-    format!("{} {far}", intent.object)
+    }
 }
 
 /// How far each object is from its goal; of a job without a result, what is wanted.

@@ -4,6 +4,7 @@
 //! whether it is alive says the lock, not this file.
 
 use crate::jobs::record::PlanRecord;
+use crate::jobs::utc;
 use cell_edge::files::{FileError, read_regular, write_whole};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -156,6 +157,24 @@ impl Status {
         }
     }
 
+    /// What is left of it once no daemon runs any more: nothing of this is of now.
+    pub fn last_words(&self) -> String {
+        let at = utc::text(self.written_unix_s);
+        let armed = if self.armed { "armed" } else { "disarmed" };
+        let mut lines = vec![format!("its last status, of {at}: {} ({armed}): {}", self.state, self.message)];
+        if let Some(Stopped { code, message, .. }) = &self.stopped {
+            lines.push(format!("  stopped: {message} ({code})"));
+        }
+        if let Some(job) = &self.job {
+            let step = self.step.map(|(step, of)| format!(", step {step} of {of}")).unwrap_or_default();
+            lines.push(format!("  job {job}{step}"));
+        }
+        if let Some(holding) = &self.holding {
+            lines.push(format!("  gripper: {holding}"));
+        }
+        lines.join("\n")
+    }
+
     /// A few lines for the terminal.
     pub fn text(&self) -> String {
         let mut lines = vec![format!(
@@ -299,5 +318,27 @@ mod tests {
         ");
         std::fs::write(&path, "{").unwrap();
         assert_eq!(Status::read(&path).unwrap(), None);
+    }
+
+    #[test]
+    fn the_last_words_say_what_was_held_and_of_when_they_are() {
+        let status = Status {
+            written_unix_s: 1_795_248_000.0,
+            state: "idle".into(),
+            message: "ending".into(),
+            holding: Some("holds lid".into()),
+            stopped: Some(Stopped {
+                code: "aborted".into(),
+                message: "the operator stopped the cell".into(),
+                hint: String::new(),
+            }),
+            hint: "`celld arm`".into(),
+            ..Status::default()
+        };
+        insta::assert_snapshot!(status.last_words(), @r"
+        its last status, of 2026-11-21T08:00:00Z: idle (disarmed): ending
+          stopped: the operator stopped the cell (aborted)
+          gripper: holds lid
+        ");
     }
 }

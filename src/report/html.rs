@@ -154,7 +154,10 @@ fn moves(page: &mut String, moves: &[MoveRow]) {
             let _ =
                 write!(page, "<td>{}</td>", or_dash(row.vacuum, |vacuum| format!("{:.0} %", vacuum * 100.0)));
         }
-        let _ = write!(page, "<td>{}</td></tr>", or_dash(row.seconds, seconds));
+        let _ = match &row.unfinished {
+            Some(words) => write!(page, "<td class=\"bad\">{}</td></tr>", escape(words)),
+            None => write!(page, "<td>{}</td></tr>", or_dash(row.seconds, seconds)),
+        };
     }
     page.push_str("</tbody></table></div>\n");
 }
@@ -220,14 +223,26 @@ mod tests {
             reached: true,
             headline: "Every object is where it should be.".into(),
             figures: Figures { moves: 1, tolerance_mm: 2.0, tolerance_deg: 1.0, ..Figures::default() },
-            moves: vec![MoveRow {
-                object: "plank-1".into(),
-                buffer: true,
-                from: Pose2::default(),
-                to: Pose2::new(0.3, 0.2, 0.5),
-                seconds: Some(7.2),
-                vacuum: Some(0.62),
-            }],
+            moves: vec![
+                MoveRow {
+                    object: "plank-1".into(),
+                    buffer: true,
+                    from: Pose2::default(),
+                    to: Pose2::new(0.3, 0.2, 0.5),
+                    unfinished: None,
+                    seconds: Some(7.2),
+                    vacuum: Some(0.62),
+                },
+                MoveRow {
+                    object: "plank-2".into(),
+                    buffer: false,
+                    from: Pose2::default(),
+                    to: Pose2::new(0.3, 0.2, 0.5),
+                    unfinished: Some("was gripped, on its way".into()),
+                    seconds: None,
+                    vacuum: None,
+                },
+            ],
             objects: vec![
                 ObjectRow { id: "plank-1".into(), goal, measured: near, truth: near },
                 ObjectRow { id: "plank-2".into(), goal, measured: far, truth: None },

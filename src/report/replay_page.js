@@ -62,9 +62,11 @@ function table(time, state) {
   for (const object of run.objects) {
     const pose = last(object.at, time)?.[1];
     if (!pose) continue;
-    view.append(s("polygon", { points: corners(object.outline.map(moved(pose))), fill: object.colour, "fill-opacity": 0.75, stroke: "currentColor" }));
+    const carried = state?.carried === object.id;
+    const look = { points: corners(object.outline.map(moved(pose))), fill: object.colour, "fill-opacity": carried ? 0.35 : 0.75, stroke: "currentColor" };
+    view.append(s("polygon", carried ? { ...look, "stroke-width": 3, "stroke-dasharray": "2 5" } : look));
     const [x, y] = point(pose);
-    names.push(s("text", { x, y: y + 4, "text-anchor": "middle", "font-size": 17 }, object.id));
+    names.push(s("text", { x, y: y + 4, "text-anchor": "middle", "font-size": 17 }, carried ? `${object.id} (on the gripper)` : object.id));
   }
   for (const outline of last(run.foreign, time)?.[1] ?? []) view.append(s("polygon", { points: corners(outline), fill: "none", stroke: "var(--wrong)", "stroke-width": 3 }));
   const plan = state?.job ? last(run.plans, time) : null;
@@ -89,7 +91,8 @@ function side(time) {
   return view;
 }
 
-const clock = (time) => new Date((run.began_unix_s + time) * 1000).toLocaleTimeString();
+const moment = (time) => new Date((run.began_unix_s + time) * 1000).toISOString();
+const clock = (time) => `${moment(time).slice(11, 21)} UTC`;
 let now = 0;
 let playing = false;
 // Its end is a whole number of steps: else the browser stops before the last moment, where a stop is.
@@ -99,7 +102,8 @@ const speed = h("select", { "aria-label": "Speed" }, ...[1, 2, 5, 10, 30].map((f
 const play = h("button", { type: "button", id: "play", click: () => { playing = !playing; if (playing && now >= length) now = 0; draw(); } });
 const step = (by) => h("button", { type: "button", click: () => to(now + by) }, `${by > 0 ? "+" : ""}${by} s`);
 const [drawn, flank, words, picture] = [h("div"), h("div"), h("div", { class: "state", role: "status" }), h("img", { alt: "The last picture of the camera", hidden: "" })];
-const marks = run.sentences.map(({ at, alarm, text }) => ({ at, item: h("li", {}, h("button", { type: "button", class: alarm ? "wrong" : null, click: () => to(at) }, `${clock(at)}  ${text}`)) }));
+const age = h("p", { class: "soft" });
+const marks = run.sentences.map(({ at, alarm, text }) => ({ at, item: h("li", {}, h("button", { type: "button", class: alarm ? "wrong" : null, click: () => to(at) }, `${moment(at).slice(11, 21)}  ${text}`)) }));
 
 function to(time) {
   now = Math.min(length, Math.max(0, time));
@@ -119,7 +123,8 @@ function draw() {
     state?.stopped ? h("div", { class: "wrong" }, `stopped: ${state.stopped}`) : null,
     state?.hint ? h("div", {}, `to do: ${state.hint}`) : null];
   words.replaceChildren(...lines.filter(Boolean));
-  const latest = last(run.pictures, now)?.[1];
+  const [taken, latest] = last(run.pictures, now) ?? [0, null];
+  age.textContent = !latest ? "no picture yet" : `taken at ${clock(taken)}, ${(now - taken).toFixed(1)} s before this moment`;
   picture.hidden = !latest;
   if (latest && picture.src !== latest) picture.src = latest;
   const present = last(marks, now, ({ at }) => at);
@@ -147,7 +152,8 @@ document.getElementById("run").append(
   h("div", { class: "grid" },
     h("section", {}, h("h2", {}, "Table"), drawn),
     h("section", {}, h("h2", {}, "What was said"), h("ol", {}, ...marks.map(({ item }) => item))),
-    h("section", {}, h("h2", {}, "Camera"), picture),
+    h("section", {}, h("h2", {}, "Camera"), picture, age),
     h("section", {}, h("h2", {}, "Arm"), flank)));
+document.getElementById("began").textContent = `${moment(0).slice(0, 19).replace("T", " ")} UTC`;
 draw();
 requestAnimationFrame(turn);

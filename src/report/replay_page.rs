@@ -80,8 +80,10 @@ pub struct RecordedState {
     pub job: Option<String>,
     /// Pick-n-places made.
     pub moves: usize,
-    /// What hangs on the gripper.
+    /// What hangs on the gripper, may hang or fell, in words.
     pub held: Option<String>,
+    /// The object that hangs there, as far as is known.
+    pub carried: Option<String>,
     /// Why it was stopped.
     pub stopped: Option<String>,
     /// What a person should do.
@@ -124,7 +126,8 @@ pub fn replay_page(run: &RecordedRun) -> Result<String, serde_json::Error> {
          <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; \
          style-src 'unsafe-inline'; script-src 'unsafe-inline'\">\
          <title>{title} - celld</title><style>{STYLE}</style></head>\n<body><main>\n<h1>{title}</h1>\n\
-         <p class=\"soft\">A recording: nothing here is of now.</p>\n<div id=\"run\"></div></main>\n<script type=\"application/json\" id=\"data\">{json}</script>\n\
+         <p class=\"soft\">A recording: nothing here is of now. It begins at <time id=\"began\"></time>; all \
+         times are UTC.</p>\n<div id=\"run\"></div></main>\n<script type=\"application/json\" id=\"data\">{json}</script>\n\
          <script>{SCRIPT}</script></body></html>\n"
     ))
 }

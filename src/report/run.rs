@@ -41,9 +41,9 @@ pub struct Figures {
     /// No plan has fewer moves (or less cost).
     pub lower_bound: Option<f64>,
     /// Plans made, the first included.
-    pub plans: usize,
+    pub plans: Option<usize>,
     /// Looks taken.
-    pub looks: usize,
+    pub looks: Option<usize>,
     /// All planning, s.
     pub planning_s: Option<f64>,
     /// From first motion to last, s of the cell's time.
@@ -72,6 +72,8 @@ pub struct MoveRow {
     pub from: Pose2,
     /// Table frame.
     pub to: Pose2,
+    /// How far it came; `None`: it was carried out.
+    pub unfinished: Option<String>,
     /// s of the cell's time, if it was carried out.
     pub seconds: Option<f64>,
     /// Relative vacuum while carrying.

@@ -126,7 +126,7 @@ pub(super) struct Tape {
     pub single: Option<PathBuf>,
     pub pictures: RecordedPictures,
     pub drawing: Drawing,
-    /// Calendar time of the run's beginning, for every file of it.
+    /// Calendar time of the cell's time 0, as at the beginning of the present file.
     epoch_unix_s: f64,
     pub file: Option<(PathBuf, Recording)>,
     looked: Instant,
@@ -183,6 +183,8 @@ impl Tape {
                 if let Some(cell) = cell {
                     self.drawing.cell(cell);
                 }
+                // Anew for every file: the cell's time may run faster than the calendar's, or that be set.
+                self.epoch_unix_s = unix_now_s() - now.as_secs_f64();
                 self.open_next(&segment);
                 let begun = self.beginning(now, machine.as_ref());
                 self.written(begun);

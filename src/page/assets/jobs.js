@@ -27,7 +27,7 @@ function detail(job) {
         times.length ? [h("h3", {}, t("Where the time went")), h("table", {}, times.map(([what, seconds]) => h("tr", {}, h("td", {}, what), h("td", {}, `${number(seconds)} s`))))] : null,
         result?.objects.length ? [h("h3", {}, t("Objects")), h("table", {}, h("tr", {}, h("th", {}, t("object")), h("th", {}, t("off by"))),
           result.objects.map((object) => h("tr", {}, h("td", {}, object.id), h("td", {}, object.error_mm === null ? t("not seen") : `${number(object.error_mm)} mm, ${number(object.error_deg)}°`))))] : null),
-      h("div", {}, image("plan.jpg", t("When the plan was made")), image("end.jpg", t("At the end")), image("plan.svg", t("The plan")))),
+      h("div", {}, image("plan.jpg", t("When the plan was made")), image("end.jpg", t("The last picture")), image("plan.svg", t("The plan")))),
   ];
 }
 

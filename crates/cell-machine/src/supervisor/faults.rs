@@ -234,8 +234,11 @@ impl Supervisor {
     }
 
     pub(crate) fn on_shutdown(&mut self, now: Timestamp, out: &mut Vec<Action>) {
-        let reason = Code::Shutdown.because("celld was told to end", "");
+        let reason = Code::Shutdown.because("a person ended celld", "");
+        // A stop that is still to be left is what the last status has to say, not the end that followed it.
+        let before = self.back.last_stop.take();
         self.stop_all(now, JobStatus::Interrupted, reason, out);
+        self.back.last_stop = before.or(self.back.last_stop.take());
         if !self.mode.ending() {
             self.mode = Mode::Ending { since: now, fault: None };
         }

@@ -215,6 +215,12 @@ impl Supervisor {
         }
     }
 
+    /// The object that hangs on the gripper, as far as is known.
+    pub fn object_on_the_gripper(&self) -> Option<&str> {
+        let held = self.back.held.as_ref().filter(|held| !held.let_go && self.back.fell.is_none());
+        held.map(|held| held.object.as_str())
+    }
+
     /// What hangs on the gripper, may hang or fell, in a few words; `None` where it is empty.
     pub(crate) fn holding_words(&self) -> Option<String> {
         match &self.back.held {

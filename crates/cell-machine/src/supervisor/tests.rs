@@ -471,6 +471,18 @@ fn shutdown_stops_the_arm_first_and_names_the_job() {
     assert_eq!(streams(&bench.ticks(100)), 0);
 }
 
+#[test]
+fn the_end_of_celld_does_not_take_the_place_of_a_stop_that_is_still_to_be_left() {
+    let mut bench = faults::working();
+    bench.feed(order(Order::Abort));
+    bench.feed(Input::Shutdown);
+    let stopped = bench.cell.status().stopped.expect("a stop");
+    assert_eq!(stopped.code, Code::Aborted, "{stopped:?}");
+    let mut bench = faults::working();
+    bench.feed(Input::Shutdown);
+    assert_eq!(bench.cell.status().stopped.map(|stop| stop.code), Some(Code::Shutdown));
+}
+
 /// Looks until the job ends; nothing may be requested of the planner or the gripper meanwhile.
 fn ends_without_planning(reference: ReferenceCheck) -> (JobStatus, String) {
     let mut bench = Bench::new();
