@@ -41,10 +41,18 @@ pub fn complain(text: &str) {
     let _ = writeln!(std::io::stderr().lock(), "{}", harmless(text));
 }
 
-/// The text with its control characters escaped, line ends and tabs apart: names of files and words from
-/// them may hold any.
+/// Characters that change in which direction a terminal writes (Unicode Standard Annex 9): with them a line
+/// reads otherwise than it is.
+const DIRECTIONS: [RangeInclusive<char>; 4] =
+    ['\u{61c}'..='\u{61c}', '\u{200e}'..='\u{200f}', '\u{202a}'..='\u{202e}', '\u{2066}'..='\u{2069}'];
+
+/// The text with its control characters escaped, line ends and tabs apart, and what changes the direction of
+/// writing: names of files and words from them may hold any.
 fn harmless(text: &str) -> Cow<'_, str> {
-    let obeyed = |c: char| c.is_control() && c != '\n' && c != '\t';
+    let obeyed = |c: char| {
+        let controls = c.is_control() && c != '\n' && c != '\t';
+        controls || DIRECTIONS.iter().any(|range| range.contains(&c))
+    };
     if !text.contains(obeyed) {
         return Cow::Borrowed(text);
     }
@@ -123,5 +131,11 @@ mod tests {
     fn a_terminal_gets_nothing_to_obey() {
         assert_eq!(harmless("two\n\tlines, ö"), "two\n\tlines, ö");
         assert_eq!(harmless("a\x1b[2J\u{9b}b\r"), "a\\u{1b}[2J\\u{9b}b\\r");
+        assert_eq!(harmless("lid\u{202e}gnp.1\u{2066}"), "lid\\u{202e}gnp.1\\u{2066}");
+        assert_eq!(
+            harmless("\u{5d0}\u{200d}\u{2013}"),
+            "\u{5d0}\u{200d}\u{2013}",
+            "letters of all scripts stay"
+        );
     }
 }
