@@ -377,6 +377,18 @@ pub struct Totals {
     pub seconds: f64,
 }
 
+impl Totals {
+    /// One more job.
+    pub fn add(&mut self, outcome: &Outcome) {
+        let good = outcome.status == "done";
+        self.done += u64::from(good);
+        self.failed += u64::from(!good);
+        self.moves += u64::from(outcome.moves);
+        self.bound += outcome.lower_bound.unwrap_or(f64::from(outcome.moves));
+        self.seconds += outcome.seconds;
+    }
+}
+
 /// What has happened in a cell.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "lowercase")]

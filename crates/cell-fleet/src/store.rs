@@ -6,7 +6,7 @@
 //! the place of all that were, with the number of the last: a reader sees what is missing. SQLite as the
 //! journal has it: write-ahead log, each commit on the disk.
 
-use crate::payloads::{Event, Totals, VERSION, What};
+use crate::payloads::{Event, Outcome, Totals, VERSION, What};
 use crate::values::{Entry, Kept};
 use rusqlite::{Connection, OptionalExtension, Transaction, params};
 use std::path::{Path, PathBuf};
@@ -93,7 +93,19 @@ pub struct Store {
     cell: String,
     series: String,
     limits: Limits,
+    /// Events that the disk did not take since the last that it did.
+    missed: Missed,
 }
+
+/// Events without a row: their number in the series, and what the jobs among them add to the totals.
+#[derive(Clone, Debug, Default)]
+struct Missed {
+    events: u32,
+    outcomes: Vec<Outcome>,
+}
+
+/// Outcomes that are kept for the totals while the disk takes nothing.
+const MOST_OUTCOMES: usize = 10_000;
 
 impl Store {
     /// Opens the database, or makes it; `series` names the events of a new one and must be unlike any
@@ -114,7 +126,14 @@ impl Store {
             found => return Err(StoreError::Version { path: path.to_owned(), found }),
         }
         let series = database.query_row("SELECT series FROM about", [], |row| row.get(0)).map_err(fail)?;
-        Ok(Store { database, path: path.to_owned(), cell: cell.to_string(), series, limits })
+        Ok(Store {
+            database,
+            path: path.to_owned(),
+            cell: cell.to_string(),
+            series,
+            limits,
+            missed: Missed::default(),
+        })
     }
 
     fn fail(&self, source: rusqlite::Error) -> StoreError {
@@ -178,41 +197,30 @@ impl Store {
         })
     }
 
-    /// Notes an event; its number is the next of the series. What is beyond the limits makes way.
+    /// Notes an event; its number is the next of the series. What is beyond the limits makes way. Events
+    /// that a full disk did not take are a gap before the next one that it does.
     ///
     /// # Errors
     /// SQLite.
     pub fn tell(&mut self, job: Option<String>, what: What, unix_s: f64) -> Result<Event, StoreError> {
-        let (cell, series, limits) = (self.cell.clone(), self.series.clone(), self.limits);
-        let path = self.path.clone();
-        let done = match &what {
-            What::Done { outcome } => Some(outcome.clone()),
-            _ => None,
-        };
-        self.transact(|transaction| {
-            let (last, totals): (i64, String) =
-                transaction.query_row("SELECT last_number, totals FROM about", [], |row| {
-                    Ok((row.get(0)?, row.get(1)?))
-                })?;
-            let number = u64::try_from(last + 1).unwrap_or(1);
-            let event = Event { version: VERSION, cell, series, number, unix_s, job, what };
-            put(transaction, &event)?;
-            transaction.execute("UPDATE about SET last_number = ?1", [last + 1])?;
-            if let Some(outcome) = done {
-                let mut totals: Totals = serde_json::from_str(&totals).unwrap_or_default();
-                let good = outcome.status == "done";
-                totals.done += u64::from(good);
-                totals.failed += u64::from(!good);
-                totals.moves += u64::from(outcome.moves);
-                totals.bound += outcome.lower_bound.unwrap_or(f64::from(outcome.moves));
-                totals.seconds += outcome.seconds;
-                let totals = serde_json::to_string(&totals).unwrap_or_default();
-                transaction.execute("UPDATE about SET totals = ?1", [totals])?;
+        let missed = self.missed.clone();
+        let mut outcomes = missed.outcomes;
+        if let What::Done { outcome } = &what {
+            outcomes.push(outcome.clone());
+        }
+        let (version, cell, series) = (VERSION, self.cell.clone(), self.series.clone());
+        let event = Event { version, cell, series, number: 0, unix_s, job, what };
+        let limits = self.limits;
+        let noted = self.transact(|transaction| note(transaction, event, missed.events, &outcomes, limits));
+        match &noted {
+            Ok(_) => self.missed = Missed::default(),
+            Err(error) => {
+                tracing::warn!(path = %self.path.display(), %error, "an event was not noted");
+                outcomes.truncate(MOST_OUTCOMES);
+                self.missed = Missed { events: missed.events.saturating_add(1), outcomes };
             }
-            trim(transaction, &event, limits)?;
-            Ok(event)
-        })
-        .inspect_err(|error| tracing::warn!(path = %path.display(), %error, "an event was not noted"))
+        }
+        noted
     }
 
     /// The oldest events that were not delivered yet, in their order, at most `limit`.
@@ -272,6 +280,37 @@ impl Store {
         let text = text.unwrap_or_default();
         serde_json::from_str(&text).map_err(|_| self.damaged("about.totals", &text))
     }
+}
+
+/// Gives the event its number, behind a gap for those that were missed before it, and puts it in; adds what
+/// jobs came to.
+fn note(
+    transaction: &Transaction,
+    event: Event,
+    missed: u32,
+    outcomes: &[Outcome],
+    limits: Limits,
+) -> Result<Event, rusqlite::Error> {
+    let about = "SELECT last_number, totals FROM about";
+    let (last, totals): (i64, String) =
+        transaction.query_row(about, [], |row| Ok((row.get(0)?, row.get(1)?)))?;
+    let missing = last + i64::from(missed);
+    let number = |value: i64| u64::try_from(value).unwrap_or(1);
+    if missed > 0 {
+        let what = What::Gap { first: number(last + 1), lost: u64::from(missed) };
+        put(transaction, &Event { number: number(missing), what, job: None, ..event.clone() })?;
+    }
+    let event = Event { number: number(missing + 1), ..event };
+    put(transaction, &event)?;
+    transaction.execute("UPDATE about SET last_number = ?1", [missing + 1])?;
+    if !outcomes.is_empty() {
+        let mut totals: Totals = serde_json::from_str(&totals).unwrap_or_default();
+        outcomes.iter().for_each(|outcome| totals.add(outcome));
+        let totals = serde_json::to_string(&totals).unwrap_or_default();
+        transaction.execute("UPDATE about SET totals = ?1", [totals])?;
+    }
+    trim(transaction, &event, limits)?;
+    Ok(event)
 }
 
 fn create(database: &mut Connection, series: &str) -> Result<(), rusqlite::Error> {
@@ -339,7 +378,7 @@ fn trim(transaction: &Transaction, newest: &Event, limits: Limits) -> Result<(),
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::payloads::{Job, Outcome};
+    use crate::payloads::Job;
 
     const DAY: f64 = 86_400.0;
 
@@ -406,6 +445,42 @@ mod tests {
             })
             .unwrap();
         assert_eq!(sum, 0, "the count of bytes is right");
+    }
+
+    #[test]
+    fn events_that_a_full_disk_does_not_take_are_a_gap_before_the_next_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut store = open(folder.path(), Limits::USUAL);
+        let outcome = Outcome {
+            status: "done".into(),
+            code: "done".into(),
+            message: String::new(),
+            moves: 3,
+            lower_bound: None,
+            seconds: 1.0,
+        };
+        store.tell(None, fault("a"), 1.0).unwrap();
+        // SQLite's own limit: beyond it a write fails as on a full disk.
+        let pages = |store: &Store, most: &str| {
+            let pragma = format!("PRAGMA max_page_count={most}");
+            store.database.query_row(&pragma, [], |row| row.get::<_, i64>(0)).unwrap()
+        };
+        pages(&store, "1");
+        let mut taken = 1;
+        while store.tell(None, fault(&"b".repeat(500)), 2.0).is_ok() {
+            taken += 1;
+        }
+        store.tell(None, What::Done { outcome: outcome.clone() }, 3.0).unwrap_err();
+        store.tell(None, fault(&"b".repeat(500)), 4.0).unwrap_err();
+        pages(&store, "1000000");
+        let event = store.tell(None, What::Done { outcome }, 5.0).unwrap();
+        assert_eq!(event.number, taken + 4);
+        whole(&store, taken + 4);
+        let gaps = store.undelivered(u32::MAX).unwrap().into_iter();
+        let gaps: Vec<_> = gaps.filter(|event| matches!(event.what, What::Gap { lost: 3, .. })).collect();
+        assert_eq!(gaps.len(), 1, "{gaps:?}");
+        let totals = store.totals().unwrap();
+        assert_eq!((totals.done, totals.moves), (2, 6), "the jobs among them count");
     }
 
     #[test]
