@@ -268,8 +268,8 @@ const CELL: &[Claim] = &[
     Claim(
         "Stacking",
         Grade::Modelled,
-        "an object stands where the middle of its load is over its contacts, for all that it stands on; what \
-         does not stand leans",
+        "an object stands where the middle of its load is over its contacts, for all that it stands on, \
+         from the start on those named before it; what does not stand leans",
         "a_bridge_stands_on_two_and_a_counterweight_holds_what_hangs_out",
     ),
     Claim(

@@ -168,6 +168,13 @@ struct ChannelState {
     leak_age_s: f64,
 }
 
+impl ChannelState {
+    fn new() -> ChannelState {
+        let faults = ChannelFaults::default();
+        ChannelState { pump: Pump::new(), sealed: false, holds: None, faults, leak_age_s: 0.0 }
+    }
+}
+
 #[derive(Clone, Copy)]
 struct Tool {
     base_from_flange: Isometry3<f64>,
@@ -239,14 +246,7 @@ impl World {
             .iter()
             .map(|marker| Ok((*marker, cells_of("reference marker", marker.id)?)))
             .collect::<Result<_, WorldError>>()?;
-        let channel = || ChannelState {
-            pump: Pump::new(),
-            sealed: false,
-            holds: None,
-            faults: ChannelFaults::default(),
-            leak_age_s: 0.0,
-        };
-        Ok(World {
+        let mut world = World {
             table: spec.table,
             base_from_table: spec.base_from_table,
             table_from_base: spec.base_from_table.inverse(),
@@ -266,7 +266,7 @@ impl World {
             },
             gripper: spec.gripper,
             bodies,
-            channels: [channel(), channel()],
+            channels: [ChannelState::new(), ChannelState::new()],
             current_limit_ma: vacuum::FULL_SPEED_MA,
             rng: ChaCha8Rng::seed_from_u64(seed),
             seed,
@@ -285,7 +285,9 @@ impl World {
             conveyors: Vec::new(),
             hand_board: spec.hand_board.as_ref().map(Plate::new).transpose()?,
             trail: VecDeque::new(),
-        })
+        };
+        world.stack_in_order();
+        Ok(world)
     }
 
     /// Advances by one controller frame: `now_s` is the controller's time at its end, `dt_s` its length, and

@@ -71,6 +71,20 @@ impl World {
         PlacementOffset { shift, fell: true }
     }
 
+    /// Objects lie on those that were named before them and lie under them: a stack is written from below.
+    /// What would not stand leans.
+    pub(super) fn stack_in_order(&mut self) {
+        for index in 0..self.bodies.len() {
+            let pose = self.bodies[index].pose();
+            let mut below = self.outlines_meeting(index, &pose, YIELD_M);
+            below.retain(|(other, _)| *other < index);
+            let under: Vec<usize> = below.iter().map(|(other, _)| *other).collect();
+            if !under.is_empty() && !self.bodies[index].fixed && !self.stand_on(index, &pose, &under) {
+                self.tilt(index, &below);
+            }
+        }
+    }
+
     /// Puts the object flat at `pose` and settles it with its neighbours.
     pub(super) fn put_down(&mut self, index: usize, pose: Pose2) {
         self.come_down(index, pose);

@@ -280,6 +280,20 @@ mod tests {
     }
 
     #[test]
+    fn a_pile_is_there_from_the_start_and_what_would_not_stand_leans() {
+        let over = |x: f64| vec![block("a", 0.3, 0.3), block("b", 0.305, 0.3), block("c", x, 0.3)];
+        let cell = Cell::new(over(0.31), no_errors(), 6);
+        assert_eq!([height(&cell, "a"), height(&cell, "b")], [0.0, 0.02]);
+        assert!((height(&cell, "c") - 0.04).abs() < 1e-12 && stacked(&cell, "c"));
+        let cell = Cell::new(over(0.345), no_errors(), 6);
+        assert!(stacked(&cell, "b") && cell.world.object("c").unwrap().is_tilted());
+        let mut apart = over(0.4);
+        apart.swap(1, 2);
+        let cell = Cell::new(apart, no_errors(), 6);
+        assert_eq!(height(&cell, "c"), 0.0, "beside them");
+    }
+
+    #[test]
     fn three_stand_on_each_other_and_all_come_down_with_the_lowest() {
         let objects = vec![block("a", 0.1, 0.1), block("b", 0.3, 0.3), block("c", 0.1, 0.3)];
         let mut cell = Cell::new(objects, no_errors(), 6);
