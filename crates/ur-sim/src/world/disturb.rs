@@ -80,12 +80,16 @@ impl World {
         Ok(())
     }
 
-    /// A person puts an object to `pose`.
+    /// A person puts an object to `pose`, also one that has fallen off the table.
     ///
     /// # Errors
     /// [`FaultError::NoSuchObject`], [`FaultError::NotFree`].
     pub fn put(&mut self, object: &str, pose: &Pose2) -> Result<(), FaultError> {
-        let index = self.free_object(object)?;
+        let fallen = |body: &Body| body.id == object && body.is_fallen() && !body.fixed;
+        let index = match self.bodies.iter().position(fallen) {
+            Some(index) => index,
+            None => self.free_object(object)?,
+        };
         self.put_down(index, *pose);
         Ok(())
     }

@@ -361,6 +361,8 @@ fn what_leaves_the_board_has_fallen() {
     assert_eq!(cell.happened(|kind| matches!(kind, EventKind::Fallen { .. })), 1);
     let refused = cell.world.nudge("a", &Pose2::default());
     assert!(matches!(refused, Err(FaultError::NotFree(_))));
+    cell.world.put("a", &Pose2::new(0.2, 0.2, 0.0)).unwrap();
+    assert!(cell.world.object("a").unwrap().is_resting() && cell.pose("a").x == 0.2, "it is put back");
 }
 
 #[test]
