@@ -6,6 +6,7 @@
 
 mod args;
 mod cuts;
+mod endurance;
 mod hands;
 mod orders;
 mod storms;
@@ -35,6 +36,9 @@ pub fn run(args: &SimulateArgs) -> u8 {
     };
     if args.orders {
         return orders::run(args);
+    }
+    if let Some(hours) = args.hours {
+        return endurance::run(args, hours);
     }
     match args.faults.as_deref().and_then(Path::to_str) {
         Some("sweep") => return sweep(args),

@@ -91,6 +91,11 @@ impl Disk {
         self.mood == Mood::Silent || self.under_way.back().is_some_and(|commit| commit.due >= NEVER)
     }
 
+    /// Drops what is on disk.
+    pub fn forget(&mut self) {
+        self.durable.clear();
+    }
+
     /// Everything on disk, in order.
     pub fn durable(&self) -> &[Record] {
         &self.durable

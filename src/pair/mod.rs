@@ -11,6 +11,7 @@ mod adapter;
 mod choice;
 pub mod cuts;
 pub mod disk;
+pub mod endurance;
 pub mod eyes;
 pub mod hands;
 pub mod mirror;

@@ -123,6 +123,9 @@ const SILENT_FRAMES: u64 = 45;
 /// After this long celld has to know that a gate is closed.
 const KNOWN_FRAMES: u64 = 250;
 
+/// An acknowledgement comes before so many further records are written.
+const LATE_RECORDS: u64 = 1000;
+
 /// Breaches kept.
 const MOST_BREACHES: usize = 64;
 
@@ -244,6 +247,12 @@ impl Rules {
     pub fn written(&mut self, number: u64) {
         self.open.remove(&number);
         self.written.insert(number);
+    }
+
+    /// Drops what was written long ago: no acknowledgement comes so late.
+    pub fn forget(&mut self) {
+        let last = self.written.last().copied().unwrap_or(0);
+        self.written.retain(|number| number + LATE_RECORDS > last);
     }
 
     /// Something has truly happened, whatever is reported of it to the machine.

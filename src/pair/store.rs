@@ -69,6 +69,12 @@ impl Store {
         &self.reports
     }
 
+    /// Drops reports; the records that they come from are dropped, too.
+    pub fn forget(&mut self) {
+        self.reports.clear();
+        self.recovered = 0;
+    }
+
     /// The daemon starts anew and finds these records.
     pub fn recover(&mut self, durable: &[Record]) {
         self.wanted = false;

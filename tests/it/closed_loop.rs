@@ -4,6 +4,7 @@ use cell_machine::orders::Order;
 use cell_machine::supervisor::round::RoundOrder;
 use cell_machine::supervisor::status::Doing;
 use cell_motion::slow::CalibrationBox;
+use celld::pair::endurance::{Course, Period, endurance};
 use celld::pair::eyes::Eye;
 use celld::pair::orders::{self, ORDERS_SEED};
 use celld::pair::orders_page;
@@ -35,6 +36,22 @@ fn a_seed_gives_the_same_run_twice_and_another_seed_another() {
     prints.sort_unstable();
     prints.dedup();
     assert_eq!(prints.len(), 6);
+}
+
+#[test]
+fn a_cell_that_works_on_through_faults_does_not_grow() {
+    let stage = stage(21, Eye::Corners).unwrap();
+    let course = Course { periods: 6, period_s: 180.0, fault_every_s: 90.0 };
+    let mut periods: Vec<Period> = Vec::new();
+    let over = &mut |period: &Period| periods.push(period.clone());
+    let (wrong, _) = endurance(&stage, Choice::of(21), course, over).unwrap();
+    assert!(wrong.is_empty(), "{wrong:?}");
+    let done = |period: &Period| period.ends.get("done").copied().unwrap_or(0) > 0;
+    assert!(periods.len() == 6 && periods.iter().all(done), "work goes on after every fault: {periods:?}");
+    assert!(periods.iter().all(|period| period.starts == 0), "by the same celld");
+    // Between two jobs the machine differs by what a job leaves: names, where objects were seen last.
+    let sizes: Vec<usize> = periods.iter().map(|period| period.machine_bytes).collect();
+    assert!(sizes.iter().all(|size| size.abs_diff(sizes[0]) < 4096), "{sizes:?}");
 }
 
 #[test]

@@ -19,6 +19,11 @@ pub struct SimulateArgs {
     /// that push objects, and the camera, between looks; `cuts`: power cuts after every effect of every job
     #[arg(long, value_name = "FILE|sweep|random|hands|cuts")]
     pub(super) faults: Option<PathBuf>,
+    /// One cell at work for so many hours, with a fault every ten minutes: a line an hour says what was done
+    /// and how large the machine and this process are
+    #[arg(long, value_name = "N", conflicts_with_all = ["faults", "orders", "replay"],
+          value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub(super) hours: Option<u32>,
     /// Every order of the operator in every state of the cell: the answer is held against what happens
     #[arg(long, conflicts_with_all = ["faults", "trace"])]
     pub(super) orders: bool,
