@@ -300,14 +300,15 @@ FLEET_TESTS := $(patsubst crates/cell-fleet/tests/%.rs,--test %,$(wildcard crate
 
 test-fleet: export CELLD_NATS_SERVER := $(FLEET)/bin/nats-server
 test-fleet: export CELLD_MQTT_PYTHON := $(FLEET)/bin/python
-test-fleet: setup setup-fleet
+test-fleet: setup setup-fleet $(PAGE)/installed.txt
+	@$(call install,$(PAGE_PACKAGES))
 	@if cargo nextest --version >/dev/null 2>&1; then \
 	  cargo nextest run $(TESTED) --features fleet --lib $(FLEET_TESTS) -E 'package(cell-fleet) | test(/fleet/)'; \
 	else \
 	  cargo test -p cell-fleet; cargo test --features fleet --lib -- fleet; \
 	fi
 	cargo build $(TESTED) --features fleet --bin celld --test tidy
-	python3 -B tests/fleet/demo.py $(BUILD)/debug/celld $(FLEET)/bin/nats-server $(FLEET)/demo
+	python3 -B tests/fleet/demo.py $(BUILD)/debug/celld $(FLEET)/bin/nats-server $(FLEET)/demo $(PAGE)/bin/python
 
 # Benchmarks over many machines: HyperQueue's Python API, which has server and workers inside, in an
 # environment of its own.

@@ -1,8 +1,9 @@
 """The fleet's demo as a person uses it: cells, page, report, files, shared configuration, the end.
 
-In: the program celld with the feature fleet, a NATS server's program, a folder. Out: exit code 0, or the first
-thing that is not as it should be. All parts are real: server, daemons, simulators, sockets. Nothing waits for
-a time: each condition has a long bound.
+In: the program celld with the feature fleet, a NATS server's program, a folder, and where the page is to be
+looked at in a browser, the Python that drives one. Out: exit code 0, or the first thing that is not as it
+should be. All parts are real: server, daemons, simulators, sockets. Nothing waits for a time: each condition
+has a long bound.
 """
 
 import json
@@ -15,6 +16,7 @@ import urllib.error
 import urllib.request
 
 CELLD, NATS, OUT = sys.argv[1], sys.argv[2], pathlib.Path(sys.argv[3])
+BROWSER = sys.argv[4] if len(sys.argv) > 4 else None
 PATIENCE_S = 300
 CELLS = 2
 # Addresses that no other suite uses.
@@ -94,6 +96,14 @@ try:
     assert sum(job["outcome"]["moves"] for job in jobs) >= 2, jobs
     assert "all jobs done" in (OUT / "report.html").read_text()
     assert all(cell["counts"]["done"] >= 1 and cell["drift_mm"] for cell in view()["cells"]), view()["cells"]
+
+    # The page in a browser.
+    if BROWSER:
+        names = ",".join(sorted(cell["name"] for cell in view()["cells"]))
+        looked = [BROWSER, "-B", "tests/page/fleet.py", link, names, str(OUT.with_name("pictures"))]
+        assert subprocess.run(looked, timeout=PATIENCE_S).returncode == 0, looked
+    else:
+        print("SKIPPED: the page in a browser, no Python with playwright was named")
 
     # Files of a job, from the cell that did it.
     job = next(job for job in jobs if job["outcome"]["moves"] > 0)

@@ -102,7 +102,7 @@ function frame() {
   log.setAttribute("aria-label", t("What happened"));
   const titles = ["job", "submitted", "by", "for", "state", "cell", "moves / bound", "time", "what"];
   fill(main, cells, none,
-    card(t("Jobs"), queue, h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, titles.map((title) => h("th", { scope: "col" }, t(title))))), jobs))),
+    card(t("Jobs"), queue, h("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": t("List of jobs") }, h("table", {}, h("thead", {}, h("tr", {}, titles.map((title) => h("th", { scope: "col" }, t(title))))), jobs))),
     h("div", { class: "gap" }), card(t("What happened"), log));
 }
 
