@@ -30,6 +30,7 @@ pub fn state_of(status: Option<&Status>) -> CellState {
         message: status.message.clone(),
         hint: status.hint.clone(),
         armed: status.armed,
+        moving: status.moving,
         idle: is_idle(status),
         job: status.job.clone(),
         awaiting_approval: status.awaiting_approval.clone(),

@@ -12,7 +12,11 @@ pub fn changes(before: &Status, now: &Status) -> Vec<String> {
         lines.push(format!("celld {} has started", now.daemon));
     }
     if now.armed != before.armed {
-        lines.push(if now.armed { "ARMED: the arm may move" } else { "disarmed" }.to_string());
+        let disarmed = if now.moving { "disarmed, THE ARM STILL MOVES" } else { "disarmed" };
+        lines.push(if now.armed { "ARMED: the arm may move" } else { disarmed }.to_string());
+    }
+    if before.moving && !now.moving && !now.armed {
+        lines.push("the arm is at rest".to_string());
     }
     if let Some(Stopped { code, message, .. }) =
         now.stopped.as_ref().filter(|_| now.stopped != before.stopped)

@@ -42,7 +42,7 @@ pub fn story(job: &JobRecord, steps: &[StepRecord]) -> String {
 
 /// What happened, with its time (s since 1970) where that is known, in order.
 pub fn story_lines(job: &JobRecord, steps: &[StepRecord]) -> Vec<(Option<f64>, String)> {
-    let mut lines = Vec::new();
+    let mut lines: Vec<(Option<f64>, String)> = Vec::new();
     let mut at = |unix_s: Option<f64>, what: String| lines.push((unix_s, what));
     let priority = match job.spec.priority {
         0 => String::new(),
@@ -70,7 +70,22 @@ pub fn story_lines(job: &JobRecord, steps: &[StepRecord]) -> Vec<(Option<f64>, S
         let used = if used.is_empty() { String::new() } else { format!(" (s: {})", used.join(", ")) };
         at(job.ended_unix_s, format!("{} after {:.1} s{used}", result.status, result.seconds));
     }
-    lines
+    in_order(lines)
+}
+
+/// By time: what a job had gripped may be let go after its end. What has no time stays behind what it came
+/// after.
+fn in_order(lines: Vec<(Option<f64>, String)>) -> Vec<(Option<f64>, String)> {
+    let mut last = f64::MIN;
+    let mut timed: Vec<_> = lines
+        .into_iter()
+        .map(|line| {
+            last = line.0.unwrap_or(last);
+            (last, line)
+        })
+        .collect();
+    timed.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+    timed.into_iter().map(|(_, line)| line).collect()
 }
 
 /// Pick-n-places that the job would have made by its last plan; `None` without one.
@@ -113,7 +128,8 @@ pub fn how_far(StepRecord { intent, phase, .. }: &StepRecord) -> String {
         StepPhase::Done => format!("moved to {to}"),
         StepPhase::Intent => format!("was to be moved to {to}: begun, how far is not known"),
         StepPhase::Gripped => format!("was gripped, on its way to {to}"),
-        StepPhase::Released => format!("was let go at {to}"),
+        // By a way back or by hand it may have been let go anywhere.
+        StepPhase::Released => format!("was let go; it was meant for {to}"),
         StepPhase::Abandoned => format!("was to be moved to {to}; given up"),
     }
 }
@@ -169,6 +185,19 @@ mod tests {
             table: Vec::new(),
         };
         StepRecord { step: 1, intent, phase: StepPhase::Gripped, changed_unix_s: NOW + 20.0 }
+    }
+
+    #[test]
+    fn what_is_let_go_after_the_end_of_its_job_stands_after_it() {
+        let line = |at: Option<f64>, text: &str| (at, text.to_string());
+        let lines = vec![
+            line(Some(1.0), "begun"),
+            line(None, "found"),
+            line(Some(9.0), "let go"),
+            line(Some(4.0), "failed"),
+        ];
+        let texts: Vec<String> = in_order(lines).into_iter().map(|(_, text)| text).collect();
+        assert_eq!(texts, ["begun", "found", "failed", "let go"]);
     }
 
     #[test]

@@ -36,6 +36,10 @@ pub struct Status {
     pub hint: String,
     /// Motion is allowed.
     pub armed: bool,
+    /// The arm is on its way, or is not known to be at rest, whatever `armed` and `paused` say: what is
+    /// under way is finished.
+    #[serde(default)]
+    pub moving: bool,
     /// Why the table is looked at again.
     #[serde(default)]
     pub because: Option<String>,
@@ -157,11 +161,19 @@ impl Status {
         }
     }
 
+    /// Armed or not, paused or not; of a cell that no one expects to move, whether it still does.
+    pub fn mode(&self) -> String {
+        let armed = if self.armed { "armed" } else { "disarmed" };
+        let paused = if self.paused { ", paused" } else { "" };
+        let moves = if self.moving && (!self.armed || self.paused) { ", THE ARM STILL MOVES" } else { "" };
+        format!("{armed}{paused}{moves}")
+    }
+
     /// What is left of it once no daemon runs any more: nothing of this is of now.
     pub fn last_words(&self) -> String {
         let at = utc::text(self.written_unix_s);
-        let armed = if self.armed { "armed" } else { "disarmed" };
-        let mut lines = vec![format!("its last status, of {at}: {} ({armed}): {}", self.state, self.message)];
+        let (state, mode, message) = (&self.state, self.mode(), &self.message);
+        let mut lines = vec![format!("its last status, of {at}: {state} ({mode}): {message}")];
         if let Some(Stopped { code, message, .. }) = &self.stopped {
             lines.push(format!("  stopped: {message} ({code})"));
         }
@@ -177,13 +189,7 @@ impl Status {
 
     /// A few lines for the terminal.
     pub fn text(&self) -> String {
-        let mut lines = vec![format!(
-            "{} ({}{}): {}",
-            self.state,
-            if self.armed { "armed" } else { "disarmed" },
-            if self.paused { ", paused" } else { "" },
-            self.message
-        )];
+        let mut lines = vec![format!("{} ({}): {}", self.state, self.mode(), self.message)];
         if let Some(shared) = &self.shared {
             lines.push(format!("  configuration shared with other cells: {shared}"));
         }
@@ -296,6 +302,7 @@ mod tests {
             daemon: "d1".into(),
             state: "executing".into(),
             armed: true,
+            moving: true,
             job: Some("tidy".into()),
             step: Some((2, 7)),
             devices: vec![DeviceStatus {
@@ -318,6 +325,14 @@ mod tests {
         ");
         std::fs::write(&path, "{").unwrap();
         assert_eq!(Status::read(&path).unwrap(), None);
+    }
+
+    #[test]
+    fn a_disarmed_or_paused_cell_that_finishes_its_move_says_that_the_arm_moves() {
+        let of = |armed, paused, moving| Status { armed, paused, moving, ..Status::default() }.mode();
+        assert_eq!(of(false, false, true), "disarmed, THE ARM STILL MOVES");
+        assert_eq!(of(true, true, true), "armed, paused, THE ARM STILL MOVES");
+        assert_eq!((of(true, false, true), of(false, false, false)), ("armed".into(), "disarmed".into()));
     }
 
     #[test]

@@ -73,6 +73,8 @@ pub struct ObjectView {
     pub group: Option<String>,
     /// Number of its marker.
     pub marker: Option<u32>,
+    /// Edge of the marker's black square, m.
+    pub marker_size: Option<f64>,
 }
 
 /// A marker that is fixed to the table.
@@ -231,6 +233,7 @@ fn object_view((index, object): (usize, &rearrange::tabletop::instance::ObjectSp
         pose: object.start.filter(|_| object.fixed),
         group: object.group.clone(),
         marker: object.marker.as_ref().map(|marker| marker.id),
+        marker_size: object.marker.as_ref().map(|marker| marker.size),
     }
 }
 

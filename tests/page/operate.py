@@ -160,6 +160,29 @@ def set_a_goal(window, cell):
     window.text("#submitted", "mine")
 
 
+def pause_and_disarm_on_the_way(page, window):
+    """What is under way is finished: so long no badge says that the arm rests."""
+    expect(page.locator("#holding")).to_be_visible()
+    page.click("#order-pause")
+    window.text("#paused", "pausing, THE ARM STILL MOVES")
+    expect(page.locator("#paused")).to_have_text("paused")
+    check("a pause is plain once the arm rests", not page.locator("#holding").is_visible())
+    page.click("#order-resume")
+    expect(page.locator("#holding")).to_be_visible()
+    page.click("#order-disarm")
+    window.text("#armed", "disarmed, THE ARM STILL MOVES")
+    check("arming is not what comes next", "first" not in (page.get_attribute("#order-arm", "class") or ""))
+    expect(page.locator("#armed")).to_have_text("disarmed")
+    check("the badge is plain once the arm rests", not page.locator("#holding").is_visible())
+    page.click("#order-arm")
+    window.text("#armed", "ARMED")
+    # The rest of the plan was agreed to; where it has changed, the cell asks again.
+    asked, holding = page.locator("#order-approve"), page.locator("#holding")
+    expect(asked.or_(holding)).to_be_visible()
+    if asked.is_visible():
+        asked.click()
+
+
 def carry_out(window):
     page = window.page
     window.screen("live")
@@ -197,6 +220,7 @@ def stop_with_an_object(window, cell):
     window.screen("live")
     page.wait_for_selector("#order-approve", timeout=LONG)
     check("the client agrees to the plan", client.approve("second").accepted)
+    pause_and_disarm_on_the_way(page, window)
     expect(page.locator("#holding")).to_be_visible()
     cell.fault("ur.pstop")
     window.text("#stopped", "protective stop")
@@ -206,6 +230,9 @@ def stop_with_an_object(window, cell):
     page.click("#recover-show")
     window.text("#answer", "plank")
     page.wait_for_timeout(6000)
+    page.click("#recover-place")
+    window.text("#answer", "hold the button down")
+    check("a click alone orders nothing", page.locator("#stopped").is_visible())
     window.hold("#recover-place")
     expect(page.locator("#stopped")).to_have_count(0)
     expect(page.locator("#holding")).to_have_count(0)
@@ -216,6 +243,8 @@ def stop_with_an_object(window, cell):
     page.click("#order-arm")
     window.text("#armed", "ARMED")
     window.screen("setup")
+    page.select_option("#sizes", "50")
+    check("markers are printed in the size of the configuration", page.input_value("#ids") == "2" and page.input_value("#size") == "50")
     page.click("#stop")
     window.text("#stopping", "disarmed")
     window.screen("live")

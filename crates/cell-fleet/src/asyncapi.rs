@@ -207,7 +207,7 @@ fn cell(number: &Value, count: &Value, text: &Value, texts: &Value) -> Value {
     object(
         json!({
             "labels": texts, "celld": text, "unix_s": number, "clock_ahead_s": number, "state": text,
-            "message": text, "hint": text, "armed": flag, "idle": flag, "job": { "type": ["string", "null"] },
+            "message": text, "hint": text, "armed": flag, "moving": flag, "idle": flag, "job": { "type": ["string", "null"] },
             "awaiting_approval": texts, "plan": { "type": ["integer", "null"] }, "holds": texts, "step": { "type": ["array", "null"], "items": count },
             "totals": totals, "fragment": count, "fragment_waits": count, "undelivered": count, "vacuum_percent": { "type": ["number", "null"] },
             "drift_mm": { "type": ["number", "null"] }, "complaints": texts,

@@ -322,6 +322,9 @@ pub struct CellState {
     pub hint: String,
     /// Motion is allowed.
     pub armed: bool,
+    /// The arm is on its way, or is not known to be at rest, whatever `armed` says.
+    #[serde(default)]
+    pub moving: bool,
     /// Nothing is worked on and nothing waits.
     pub idle: bool,
     /// The active job, of the fleet or not.

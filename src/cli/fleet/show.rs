@@ -86,7 +86,11 @@ pub async fn status(args: &StatusArgs) -> Result<(), Failure> {
 fn line(Shown { name, state, unix_s }: &Shown, now: f64) -> String {
     let age = now - unix_s;
     let away = if age > OLD_S { format!("  AWAY for {age:.0} s, before that: ") } else { "  ".to_string() };
-    let armed = if state.armed { "armed" } else { "disarmed" };
+    let armed = match (state.armed, state.moving) {
+        (true, _) => "armed",
+        (false, true) => "disarmed, THE ARM STILL MOVES",
+        (false, false) => "disarmed",
+    };
     let job = state.job.as_ref().map(|job| {
         let step = state.step.map(|(step, of)| format!(" ({step} of {of} moves)")).unwrap_or_default();
         format!(", job {job}{step}")

@@ -20,7 +20,8 @@ const objects = () => [...draft.poses].map(([id, pose]) => ({ id, pose: pose.map
 function jobText() {
   const goal = draft.rule ?? { objects: objects() };
   const job = { version: 1, goal, rerun: true };
-  const id = document.getElementById("job-id")?.value.trim();
+  // A person writes words, a job has a name.
+  const id = document.getElementById("job-id")?.value.trim().replace(/[^A-Za-z0-9._-]+/g, "-");
   const approval = document.getElementById("approval")?.value;
   if (id) job.id = id;
   if (approval) job.approval = approval;
@@ -241,6 +242,8 @@ export function goalPage(main) {
 
   const preview = async () => {
     fill(result, h("p", { class: "soft" }, t("planning …")));
+    draft.plan = null;
+    draw();
     try {
       const answer = await api("preview", { body: { text: jobText() } });
       draft.plan = answer.plan;
@@ -258,7 +261,10 @@ export function goalPage(main) {
   const submit = async () => {
     try {
       const { id, state: word, message } = await api("jobs", { body: { text: jobText(), name: "page" } });
-      fill(result, h("p", { class: "note", id: "submitted" }, t("Submitted: job {job}, {state}.", { job: id, state: t(word) }), message ? ` ${message}` : "", " ", h("a", { href: "#live" }, t("To the cell"))));
+      // From now on the plan is the job's own.
+      draft.plan = null;
+      draw();
+      fill(result, h("p", { class: "note", id: "submitted" }, t("Submitted: job {job}, {state}.", { job: id, state: t(word) }), message ? ` ${message}` : "", state.status?.armed ? [" ", h("strong", {}, t("The cell is armed: the arm looks at the table now."))] : "", " ", h("a", { href: "#live" }, t("To the cell"))));
     } catch (error) {
       fill(result, h("p", { class: "note wrong" }, error.message));
     }
@@ -310,7 +316,7 @@ export function goalPage(main) {
       card(t("Plan and submit"), h("div", { class: "row" },
         h("button", { type: "button", id: "plan", class: "first", click: preview }, t("Preview")),
         h("input", { id: "job-id", placeholder: t("name of the job (optional)"), "aria-label": t("name of the job (optional)") }),
-        h("label", {}, t("approval"), " ", h("select", { id: "approval" }, h("option", { value: "" }, t("as the cell")), ["never", "job", "always"].map((word) => h("option", { value: word }, t(word))))),
+        h("label", {}, t("approval"), " ", h("select", { id: "approval" }, h("option", { value: "" }, t("as the cell")), ["never", "job", "always"].slice(["never", "job", "always"].indexOf(state.cell.approval)).map((word) => h("option", { value: word }, t(word))))),
         h("button", { type: "button", id: "submit", class: "first", disabled: !may("operate"), click: submit }, t("Submit"))), result),
       card(t("Objects with a goal"), h("div", { class: "scroll" }, list)),
       card(t("Swap two"), h("div", { class: "row" }, choose("swap-a", t("first object")), second, h("button", { type: "button", id: "swap", click: swapped }, t("Swap")))),

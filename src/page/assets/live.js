@@ -2,7 +2,7 @@
 
 import { h, s, card, fill } from "./dom.js";
 import { api, colour, object, on, state } from "./net.js";
-import { t, time, duration, number } from "./text.js";
+import { here, t, time, duration, number } from "./text.js";
 import { view, ground, outline, foreign, labels, arrows, numbers, after, at } from "./table.js";
 import { picture } from "./picture.js";
 import { arm3d } from "./arm.js";
@@ -28,14 +28,15 @@ function now() {
   const left = plan?.seconds && all ? plan.seconds * Math.max(0, all - made) / all : null;
   return [
     h("p", { class: "say", id: "message", role: "status" }, status.message),
-    status.hint && h("p", { class: "hint", id: "hint" }, "→ ", status.hint),
+    status.hint && h("p", { class: "hint", id: "hint" }, "→ ", here(status.hint)),
     status.shared && h("p", { class: "soft", id: "shared" }, t("Configuration shared with other cells"), ": ", status.shared),
     status.because && h("p", { class: "soft" }, status.because),
     h("p", {},
-      h("span", { class: `badge ${status.armed ? "warn" : "good"}`, id: "armed" }, status.armed ? t("ARMED: the arm may move") : t("disarmed")), " ",
-      status.paused && h("span", { class: "badge warn" }, t("paused")), " ",
+      // What is under way is finished: until then the arm moves in a cell that is disarmed or paused.
+      h("span", { class: `badge ${status.armed || status.moving ? "warn" : "good"}`, id: "armed" }, status.armed ? t("ARMED: the arm may move") : status.moving ? t("disarmed, THE ARM STILL MOVES") : t("disarmed")), " ",
+      status.paused && h("span", { class: "badge warn", id: "paused" }, status.moving ? t("pausing, THE ARM STILL MOVES") : t("paused")), " ",
       status.holding && h("span", { class: "badge warn", id: "holding" }, t("in the gripper"), ": ", status.holding)),
-    status.stopped && h("p", { class: "note wrong", id: "stopped" }, h("strong", {}, status.stopped.message), h("br"), status.stopped.hint),
+    status.stopped && h("p", { class: "note wrong", id: "stopped" }, h("strong", {}, status.stopped.message), h("br"), status.stopped.hint === status.hint ? "" : here(status.stopped.hint)),
     status.job && h("div", {}, h("p", {}, h("strong", {}, t("Job {job}", { job: status.job })), all ? `: ${t("{made} of {all} moves", { made, all })}` : "", left !== null ? `, ${t("about {time} left", { time: duration(left) })}` : ""),
       all ? h("progress", { value: made, max: all, "aria-label": t("Progress of the job") }) : null),
     h("p", { class: "soft" }, t("{count} jobs wait", { count: status.waiting }), status.unread ? `, ${t("{count} files are not read yet", { count: status.unread })}` : ""),

@@ -57,7 +57,7 @@ function drawBar() {
     h("span", { class: "who" }, `${state.me.name}, ${t(state.me.role)}`),
     h("div", { class: "stop" }, h("button", { type: "button", class: "halt", id: "stop", click: pressed }, t("Stop")), h("small", {}, t("stops and disarms; no emergency stop"))),
     h("p", { id: "stopping", role: "alert", hidden: true }),
-    h("p", { id: "stale", role: "alert", hidden: !state.stale }, t("No connection to celld: what is shown is old. Only Stop is sent.")));
+    h("p", { id: "stale", role: "alert", hidden: !state.stale }, t("No connection to celld: what is shown is old. Only Stop, Disarm, Pause and Abort are sent.")));
 }
 
 function show() {

@@ -44,7 +44,7 @@ export async function order(command, more = {}) {
   try {
     const stops = ["abort", "disarm", "pause"].includes(command.do);
     // Nothing but a stop is given by who does not see the present; the daemon refuses it too, a little later.
-    if (state.stale && !stops) return { accepted: false, message: "what is shown is old: only Stop is sent" };
+    if (state.stale && !stops) return { accepted: false, message: "what is shown is old: only what stops is sent" };
     return await api("orders", { body: { command, beat: state.beat, ...more }, within: stops ? 5000 : 20000 });
   } catch (error) {
     return { accepted: false, message: error.message };

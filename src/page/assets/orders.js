@@ -3,7 +3,7 @@
 
 import { h, card, fill } from "./dom.js";
 import { api, on, order, state, mine, may } from "./net.js";
-import { t } from "./text.js";
+import { here, t, time } from "./text.js";
 
 const HOLD_MS = 1200;
 
@@ -19,11 +19,15 @@ export function hold(label, act, attributes = {}) {
     // A button that was replaced meanwhile is not held any more, whatever the finger does.
     timer = setTimeout(() => {
       const held = button.isConnected && !button.disabled;
+      clearTimeout(timer);
+      timer = null;
       end();
       if (held) act();
     }, HOLD_MS);
   };
-  const end = () => {
+  const end = (event) => {
+    // Who only clicks sees why nothing came of it.
+    if (timer && (event?.type === "pointerup" || event?.type === "keyup")) answered(label, { accepted: false, message: t("nothing was ordered: hold the button down for a second") });
     clearTimeout(timer);
     timer = null;
     window.removeEventListener("pointerup", end);
@@ -41,11 +45,13 @@ export function hold(label, act, attributes = {}) {
 
 export const answers = h("div", { role: "status", "aria-live": "polite" });
 
+/** What an order came to stands until the next one, with its time: it is of then, not of now. */
+const OLD_MS = 60000;
+
 export function answered(what, { accepted, message }) {
-  const note = h("p", { class: accepted ? "note" : "note wrong", id: "answer" }, h("strong", {}, what + ": "), message);
-  const older = [...answers.children].slice(0, 2);
-  older.forEach((before) => before.removeAttribute("id"));
-  answers.replaceChildren(note, ...older);
+  const note = h("p", { class: accepted ? "note" : "note wrong", id: "answer" }, h("time", { class: "soft" }, time(Date.now() / 1000)), " ", h("strong", {}, what + ": "), here(message));
+  answers.replaceChildren(note);
+  if (accepted) setTimeout(() => note.remove(), OLD_MS);
 }
 
 /** Gives an order and shows what came of it. */
@@ -56,7 +62,8 @@ export async function give(label, command, more) {
 /** Stop: abort and disarm, from every screen, also where the page is stale. */
 export async function stop() {
   const [aborted, disarmed] = await Promise.all([order({ do: "abort" }), order({ do: "disarm" })]);
-  const outcome = { accepted: aborted.accepted && disarmed.accepted, message: `${aborted.message}; ${disarmed.message}` };
+  const messages = [...new Set([aborted.message, disarmed.message])].join("; ");
+  const outcome = { accepted: aborted.accepted && disarmed.accepted, message: messages };
   answered(t("Stop"), outcome);
   return outcome;
 }
@@ -69,9 +76,9 @@ function ways() {
   const way = (how, label) => hold(label, () => give(label, { do: "recover", how }), { id: "recover-" + how, disabled: state.stale || !may("operate") });
   return h("div", {}, h("h3", {}, t("Leave the stop")),
     h("div", { class: "row" },
-      h("button", { type: "button", id: "recover-show", disabled: state.stale || !may("operate"), click: () => give(t("What happened"), { do: "recover", how: "show" }) }, t("What happened?")),
+      h("button", { type: "button", id: "recover-show", disabled: state.stale || !may("operate"), click: () => give(t("Leave the stop"), { do: "recover", how: "show" }) }, t("What happened?")),
       way("place", t("Put it down")), way("hold", t("Keep holding")), way("retreat", t("Straight up")), way("release", t("Let go (hold it by hand)"))),
-    h("p", { class: "soft" }, t("Each way back is your word that the cell is safe; afterwards it is disarmed.")));
+    h("p", { class: "soft" }, t("A way back is held down for a second. Each is your word that the cell is safe; afterwards it is disarmed.")));
 }
 
 function approval(status) {
@@ -93,7 +100,7 @@ export function orders() {
   const draw = () => {
     const status = state.status;
     if (!status) return;
-    const key = JSON.stringify([status.armed, status.paused, status.job, status.state, status.stopped, status.awaiting_approval, status.plan?.unix_s, status.holding, state.stale, state.control, state.me]);
+    const key = JSON.stringify([status.armed, status.paused, status.job, status.state, status.stopped, status.awaiting_approval, status.plan?.unix_s, status.holding, status.moving, state.stale, state.control, state.me]);
     if (key === drawn) return;
     drawn = key;
     const can = may("operate") && !state.stale && status.state !== "starting";
@@ -107,7 +114,7 @@ export function orders() {
       approval(status),
       h("div", { class: "row" },
         // Each in its place whatever the state is: a second press never means the opposite.
-        button(t("Arm"), { do: "arm" }, can && !status.armed, { class: status.armed ? null : "first" }),
+        button(t("Arm"), { do: "arm" }, can && !status.armed, { class: status.armed || status.moving || status.stopped ? null : "first" }),
         button(t("Disarm"), { do: "disarm" }, true),
         button(t("Pause"), { do: "pause" }, !status.paused && status.state !== "starting"),
         button(t("Resume"), { do: "resume" }, can && status.paused, { class: status.paused ? "first" : null }),
@@ -116,7 +123,8 @@ export function orders() {
         button(t("Park"), { do: "park" }, can && status.armed && !status.job),
         status.job && button(t("Cancel the job"), { do: "cancel", id: status.job }, can),
         hold(t("Release the vacuum"), () => give(t("Release"), { do: "release", channel: null }), { id: "order-release", disabled: !can })),
-      status.stopped && ways());
+      // Something may hang on the gripper although the stop was left.
+      (status.stopped || (status.holding && !status.armed && !status.moving)) && ways());
   };
   const stops = [on("status", draw), on("stale", () => { drawn = ""; draw(); }), on("control", draw), on("me", draw)];
   draw();

@@ -5,15 +5,24 @@ import { api, state } from "./net.js";
 import { t, language, languages, moment } from "./text.js";
 
 function markers() {
-  const known = state.cell.objects.map(({ marker }) => marker).filter((marker) => marker !== null);
-  const ids = h("input", { id: "ids", value: known.join(",") || "0,1,2,3", "aria-label": t("numbers") });
-  const size = h("input", { id: "size", type: "number", value: 36, min: 5, max: 300, "aria-label": t("edge, mm") });
+  // Each size of the configuration by itself: a marker of another size is seen where it is not.
+  const sizes = new Map();
+  const known = [...state.cell.objects.map(({ marker, marker_size }) => [marker, marker_size]), ...state.cell.references.map(({ id, size }) => [id, size])];
+  for (const [marker, edge] of known.filter(([marker]) => marker !== null)) {
+    const mm = Math.round(edge * 1e5) / 100;
+    sizes.set(mm, [...(sizes.get(mm) ?? []), marker]);
+  }
+  const [first, numbers] = [...sizes][0] ?? [36, [0, 1, 2, 3]];
+  const ids = h("input", { id: "ids", value: numbers.join(","), "aria-label": t("numbers") });
+  const size = h("input", { id: "size", type: "number", value: first, min: 5, max: 300, step: "any", "aria-label": t("edge, mm") });
+  const which = h("select", { id: "sizes", "aria-label": t("of the configuration") }, [...sizes].map(([mm, all]) => h("option", { value: mm }, `${mm} mm: ${all.length > 6 ? t("{count} markers", { count: all.length }) : all.join(", ")}`)));
+  which.addEventListener("change", () => { [ids.value, size.value] = [sizes.get(Number(which.value)).join(","), which.value]; update(); });
   const paper = h("select", { id: "paper", "aria-label": t("paper") }, h("option", { value: "a4" }, "A4"), h("option", { value: "letter" }, "Letter"));
   const link = h("a", { class: "button", download: "markers.pdf" }, t("Make a PDF"));
   const update = () => { link.href = "/api/v1/markers.pdf?" + new URLSearchParams({ ids: ids.value, size_mm: size.value, paper: paper.value }); };
   for (const input of [ids, size, paper]) input.addEventListener("input", update);
   update();
-  return card(t("Print markers"), h("p", {}, t("Numbers of the catalogue are filled in; the edge is that of the black square, mm. Print at 100 % and measure the ruler.")), h("div", { class: "row" }, ids, size, paper, link));
+  return card(t("Print markers"), h("p", {}, t("Those of the configuration that have one size are filled in; the edge is that of the black square, mm. Print at 100 % and measure the ruler.")), h("div", { class: "row" }, sizes.size ? which : null, ids, size, paper, link));
 }
 
 function look() {

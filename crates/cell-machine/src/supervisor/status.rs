@@ -82,6 +82,30 @@ impl Doing {
     }
 }
 
+impl Doing {
+    /// The arm is on its way, is about to be, or is not known to be at rest: also in a cell that is disarmed
+    /// or paused, which finishes what is under way.
+    pub fn may_move(&self) -> bool {
+        match self {
+            Doing::Stopping
+            | Doing::StartingRobot
+            | Doing::Looking(..)
+            | Doing::Working(..)
+            | Doing::Parking
+            | Doing::Recovering(_)
+            | Doing::Visiting(..)
+            | Doing::Ending => true,
+            Doing::Idle
+            | Doing::Waiting(_)
+            | Doing::Paused
+            | Doing::Writing
+            | Doing::Ready
+            | Doing::Planning
+            | Doing::AwaitingApproval => false,
+        }
+    }
+}
+
 /// How the cell looks from outside.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct Status {
