@@ -12,7 +12,7 @@ pub fn changes(before: &Status, now: &Status) -> Vec<String> {
         lines.push(format!("celld {} has started", now.daemon));
     }
     if now.armed != before.armed {
-        let disarmed = if now.moving { "disarmed, THE ARM STILL MOVES" } else { "disarmed" };
+        let disarmed = if now.moving { "disarmed, THE ARM MAY STILL MOVE" } else { "disarmed" };
         lines.push(if now.armed { "ARMED: the arm may move" } else { disarmed }.to_string());
     }
     if before.moving && !now.moving && !now.armed {

@@ -165,7 +165,7 @@ impl Status {
     pub fn mode(&self) -> String {
         let armed = if self.armed { "armed" } else { "disarmed" };
         let paused = if self.paused { ", paused" } else { "" };
-        let moves = if self.moving && (!self.armed || self.paused) { ", THE ARM STILL MOVES" } else { "" };
+        let moves = if self.moving && (!self.armed || self.paused) { ", THE ARM MAY STILL MOVE" } else { "" };
         format!("{armed}{paused}{moves}")
     }
 
@@ -330,8 +330,8 @@ mod tests {
     #[test]
     fn a_disarmed_or_paused_cell_that_finishes_its_move_says_that_the_arm_moves() {
         let of = |armed, paused, moving| Status { armed, paused, moving, ..Status::default() }.mode();
-        assert_eq!(of(false, false, true), "disarmed, THE ARM STILL MOVES");
-        assert_eq!(of(true, true, true), "armed, paused, THE ARM STILL MOVES");
+        assert_eq!(of(false, false, true), "disarmed, THE ARM MAY STILL MOVE");
+        assert_eq!(of(true, true, true), "armed, paused, THE ARM MAY STILL MOVE");
         assert_eq!((of(true, false, true), of(false, false, false)), ("armed".into(), "disarmed".into()));
     }
 

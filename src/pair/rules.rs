@@ -54,7 +54,8 @@ pub enum Rule {
     AnswerWithoutOrder,
     /// An order has no answer.
     OrderUnanswered,
-    /// The status says armed and the cell is not, or the other way round.
+    /// The status says armed and the cell is not, or the other way round; or that a disarmed arm rests, and
+    /// it moves.
     StatusNotTrue,
     /// Arming was accepted although no state of the robot comes, safety forbids motion, or something is
     /// held.
@@ -190,6 +191,8 @@ pub struct Rules {
     restarted_at: Option<u64>,
     /// When the cell was armed last.
     armed_at: Option<u64>,
+    /// Frames for which the arm has moved with a status that says that it rests.
+    unshown: u64,
     /// A connection that was lost while the cell was armed.
     lost: Option<(u64, Link)>,
 }

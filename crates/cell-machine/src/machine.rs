@@ -452,8 +452,12 @@ impl Machine {
         let Some(supervisor) = &self.supervisor else { return };
         let Machine { robot, gripper, connections, .. } = self;
         let sessions = Sessions { robot, gripper, connections };
-        let devices = supervisor.device_notes(&snapshot(now, &sessions, self.gripper_answers));
-        let status = Status { devices, ..supervisor.status() };
+        let seen = snapshot(now, &sessions, self.gripper_answers);
+        let status = supervisor.status();
+        // The robot brakes by itself in a stop of its own, and a person may guide the arm.
+        let moves = seen.robot.is_some_and(|robot| seen.robot_fresh && !robot.stands_still());
+        let status =
+            Status { devices: supervisor.device_notes(&seen), moving: status.moving || moves, ..status };
         if self.notified.status.as_ref() != Some(&status) {
             self.effects.push_back(Effect::Notify(News::Status(status.clone())));
             self.notified.status = Some(status);

@@ -88,7 +88,7 @@ fn line(Shown { name, state, unix_s }: &Shown, now: f64) -> String {
     let away = if age > OLD_S { format!("  AWAY for {age:.0} s, before that: ") } else { "  ".to_string() };
     let armed = match (state.armed, state.moving) {
         (true, _) => "armed",
-        (false, true) => "disarmed, THE ARM STILL MOVES",
+        (false, true) => "disarmed, THE ARM MAY STILL MOVE",
         (false, false) => "disarmed",
     };
     let job = state.job.as_ref().map(|job| {

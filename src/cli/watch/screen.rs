@@ -120,11 +120,11 @@ fn now_of(status: &Status, unix_s: f64) -> Vec<Line<'_>> {
     let strong = Style::new().add_modifier(Modifier::BOLD);
     let armed = match status.armed {
         true => Span::styled("ARMED: the arm may move", strong.fg(Color::Red)),
-        false if status.moving => Span::styled("disarmed, THE ARM STILL MOVES", strong.fg(Color::Red)),
+        false if status.moving => Span::styled("disarmed, THE ARM MAY STILL MOVE", strong.fg(Color::Red)),
         false => Span::styled("disarmed", strong),
     };
     let paused = match (status.paused, status.moving) {
-        (true, true) => ", pausing, THE ARM STILL MOVES",
+        (true, true) => ", pausing, THE ARM MAY STILL MOVE",
         (true, false) => ", paused",
         (false, _) => "",
     };

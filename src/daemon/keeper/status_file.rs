@@ -40,7 +40,7 @@ impl StateKeeper {
             blocked: disk.clone(),
             message,
             armed: status.armed,
-            moving: status.doing.may_move(),
+            moving: status.moving,
             paused: status.paused,
             job: status.job.clone(),
             holding: status.held.clone(),

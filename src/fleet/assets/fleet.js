@@ -23,7 +23,7 @@ function key() {
 
 const stateWord = (cell) => {
   if (cell.away) return h("span", { class: "badge bad" }, t("away for {time}", { time: duration(cell.age_s) }));
-  if (!cell.state.armed && cell.state.moving) return h("span", { class: "badge warn" }, t("disarmed, THE ARM STILL MOVES"));
+  if (!cell.state.armed && cell.state.moving) return h("span", { class: "badge warn" }, t("disarmed, THE ARM MAY STILL MOVE"));
   return h("span", { class: `badge ${cell.state.armed ? "warn" : "good"}` }, cell.state.armed ? t("armed") : t("disarmed"));
 };
 

@@ -33,8 +33,8 @@ function now() {
     status.because && h("p", { class: "soft" }, status.because),
     h("p", {},
       // What is under way is finished: until then the arm moves in a cell that is disarmed or paused.
-      h("span", { class: `badge ${status.armed || status.moving ? "warn" : "good"}`, id: "armed" }, status.armed ? t("ARMED: the arm may move") : status.moving ? t("disarmed, THE ARM STILL MOVES") : t("disarmed")), " ",
-      status.paused && h("span", { class: "badge warn", id: "paused" }, status.moving ? t("pausing, THE ARM STILL MOVES") : t("paused")), " ",
+      h("span", { class: `badge ${status.armed || status.moving ? "warn" : "good"}`, id: "armed" }, status.armed ? t("ARMED: the arm may move") : status.moving ? t("disarmed, THE ARM MAY STILL MOVE") : t("disarmed")), " ",
+      status.paused && h("span", { class: "badge warn", id: "paused" }, status.moving ? t("pausing, THE ARM MAY STILL MOVE") : t("paused")), " ",
       status.holding && h("span", { class: "badge warn", id: "holding" }, t("in the gripper"), ": ", status.holding)),
     status.stopped && h("p", { class: "note wrong", id: "stopped" }, h("strong", {}, status.stopped.message), h("br"), status.stopped.hint === status.hint ? "" : here(status.stopped.hint)),
     status.job && h("div", {}, h("p", {}, h("strong", {}, t("Job {job}", { job: status.job })), all ? `: ${t("{made} of {all} moves", { made, all })}` : "", left !== null ? `, ${t("about {time} left", { time: duration(left) })}` : ""),

@@ -31,6 +31,9 @@ const ANSWER_WITHIN: Duration = Duration::from_millis(200);
 /// A stop may take this long.
 const STOP_FRAMES: u64 = 1250;
 
+/// The status says within this, 50 ms, that the arm may move.
+const SHOWN_FRAMES: u64 = 25;
+
 /// An arm that has not moved for so long has been at rest.
 const STOOD_FRAMES: u64 = 10;
 
@@ -102,6 +105,7 @@ impl Rules {
         self.check_stopped(moves);
         self.check_vacuum(frame, simulator, machine.supervisor().is_none_or(|cell| !cell.mode().ending()));
         self.check_status(machine, status);
+        self.check_rest(moves && !stranger && !self.stranger, status);
         self.note_picture(simulator);
         self.check_picked(machine, simulator);
     }
@@ -271,6 +275,21 @@ impl Rules {
         }
         if self.sight <= self.disturbed {
             self.breach(Rule::PickOnOldSight, format!("{} frames", self.disturbed - self.sight));
+        }
+    }
+
+    /// Where the status says disarmed and does not say that the arm may move, it rests.
+    fn check_rest(&mut self, moves: bool, status: Option<&Status>) {
+        let rests = status.is_some_and(|status| !status.armed && !status.moving);
+        self.unshown = if moves && rests { self.unshown + 1 } else { 0 };
+        // What celld does not reach, or does not know of after a start, it cannot show.
+        let restarted = self.restarted_at.is_some_and(|at| self.frame <= at + WATCHDOG_FRAMES);
+        if self.unshown == SHOWN_FRAMES && !restarted && !self.played_unreached() {
+            let doing = status.map(Status::text).unwrap_or_default();
+            self.breach(
+                Rule::StatusNotTrue,
+                format!("the arm moves, and the status says disarmed and {doing:?}"),
+            );
         }
     }
 

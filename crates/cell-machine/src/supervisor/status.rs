@@ -89,13 +89,15 @@ impl Doing {
         match self {
             Doing::Stopping
             | Doing::StartingRobot
-            | Doing::Looking(..)
+            | Doing::Looking(_, _, None)
             | Doing::Working(..)
             | Doing::Parking
             | Doing::Recovering(_)
             | Doing::Visiting(..)
             | Doing::Ending => true,
-            Doing::Idle
+            // It rests where it waits for the camera.
+            Doing::Looking(_, _, Some(_))
+            | Doing::Idle
             | Doing::Waiting(_)
             | Doing::Paused
             | Doing::Writing
@@ -113,6 +115,8 @@ pub struct Status {
     pub armed: bool,
     /// A pause is in force.
     pub paused: bool,
+    /// The arm is on its way, is about to be, or is not known to be at rest, whoever moves it.
+    pub moving: bool,
     /// What is going on.
     pub doing: Doing,
     /// The active job.
@@ -187,6 +191,7 @@ impl Status {
         Status {
             armed: false,
             paused: false,
+            moving: false,
             doing: Doing::Idle,
             job: None,
             awaits_approval: false,
@@ -249,6 +254,7 @@ impl Supervisor {
         Status {
             armed: self.mode.armed(),
             paused: self.mode.paused(),
+            moving: self.doing().may_move(),
             doing: self.doing(),
             job: job.map(|job| job.order.id.clone()),
             awaits_approval: matches!(self.phase, Phase::Approve) || self.preview_waits(),
