@@ -91,7 +91,11 @@ function side(time) {
   return view;
 }
 
-const moment = (time) => new Date((run.began_unix_s + time) * 1000).toISOString();
+/** A recording may say anything of its beginning; what is no date is that of time 0. */
+const moment = (time) => {
+  const date = new Date((run.began_unix_s + time) * 1000);
+  return (Number.isNaN(date.getTime()) ? new Date(time * 1000) : date).toISOString();
+};
 const clock = (time) => `${moment(time).slice(11, 21)} UTC`;
 let now = 0;
 let playing = false;
