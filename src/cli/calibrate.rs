@@ -246,6 +246,8 @@ async fn live(
     let poses = match proposed {
         None => config.calibration_poses.clone(),
         Some(count) => {
+            // What was sent meanwhile is old.
+            shell.listen().await;
             let state = shell.robot_state().ok_or("the robot does not say where it is")?;
             let arm = arm_model(config, arm.dh, config.base_from_table);
             let proposal = propose::from_here(&drawn(config), &lens.model, &arm, state.q, count)?;

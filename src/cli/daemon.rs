@@ -9,7 +9,8 @@ use crate::cli::in_fleet::{Anew, Parts, Shared, fleet, is_to_start_disarmed, sta
 use crate::config::calibrated::{measured, read_calibration};
 use crate::config::cell::CellConfig;
 use crate::config::empty::compare_with_empty;
-use crate::config::setup::{Measured, cell_model, cell_objects, gripper_address, machine_parameters, scene};
+use crate::config::sessions::{gripper_address, machine_parameters};
+use crate::config::setup::{Measured, cell_model, cell_objects, scene};
 use crate::daemon::cameras;
 use crate::daemon::film::Film;
 use crate::daemon::gripper_memory::GripperMemory;

@@ -17,6 +17,7 @@ pub mod pictures;
 pub mod read_cell;
 pub mod read_fragment;
 pub mod round;
+pub mod sessions;
 pub mod setup;
 #[cfg(test)]
 mod tests;

@@ -3,15 +3,14 @@
 //! In: a checked [`CellConfig`], what calibration found, the reported kinematics. Out: plain structs. Pure.
 
 use crate::config::bodies::Equipment;
-use crate::config::cell::{CellConfig, Devices};
-use crate::config::check::{HELD_SHARE, off_centre, suction};
+use crate::config::cell::CellConfig;
+use crate::config::check::{off_centre, suction};
+use crate::config::sessions::gripper_address;
 use crate::perception::Scene;
 use cell_calibration::drawn::{CameraMount, Drawn};
 use cell_calibration::files::hand_eye::Mount;
-use cell_machine::device::gripper_types::{Channels, GripperParameters};
-use cell_machine::device::robot_types::RobotParameters;
+use cell_machine::device::gripper_types::Channels;
 use cell_machine::event::Arm;
-use cell_machine::machine::MachineParameters;
 use cell_machine::supervisor::model::{
     CellModel, CellObject, DeviceAddresses, ForeignRule, GripSettings, Tolerances,
 };
@@ -97,9 +96,6 @@ const SEARCH_MARGIN_M: f64 = 0.02;
 /// Room round the gripper in which points are taken for its own, m.
 const OWN_MARGIN_M: f64 = 0.02;
 
-/// States a second requested of the robot: a state every 8 ms is fresh enough for the 100 ms limit.
-pub const RTDE_HZ: f64 = 125.0;
-
 /// The supervisor's model of the cell.
 ///
 /// # Errors
@@ -179,12 +175,6 @@ fn own_body(config: &CellConfig, camera_from_tool: Isometry3<f64>) -> OwnBody {
     let radius = config.gripper.body_polygon.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max);
     let (radius_m, beyond_m) = (radius + OWN_MARGIN_M, OWN_MARGIN_M);
     OwnBody { camera_from_tool, radius_m, body_m: radius, beyond_m }
-}
-
-/// Host, port and Modbus unit of the gripper: what a person confirms to be it.
-pub fn gripper_address(devices: &Devices) -> String {
-    let Devices { gripper_host, gripper_port, gripper_unit, .. } = devices;
-    format!("{gripper_host}:{gripper_port}, unit {gripper_unit}")
 }
 
 /// The model of a cell that is not calibrated yet: the arm as the controller reports it, table and camera as
@@ -344,22 +334,6 @@ fn grip_settings(config: &CellConfig) -> GripSettings {
         body_above_lips: config.gripper.body_height_m,
         tool_mass: config.gripper.mass_kg,
         tool_centre: Vector3::from(config.gripper.centre_of_gravity_m),
-    }
-}
-
-/// What the machine is made with; `nonce_seed` differs from run to run.
-pub fn machine_parameters(config: &CellConfig, nonce_seed: u64) -> MachineParameters {
-    let robot = RobotParameters { frequency_hz: RTDE_HZ, ..RobotParameters::full_rate() };
-    MachineParameters { robot, gripper: gripper_parameters(config), nonce_seed }
-}
-
-/// The gripper session's thresholds.
-pub fn gripper_parameters(config: &CellConfig) -> GripperParameters {
-    GripperParameters {
-        vacuum_min: config.gripper.vacuum_min,
-        vacuum_hold: HELD_SHARE * config.gripper.vacuum_min,
-        grip_within: Duration::from_secs(2),
-        release_within: Duration::from_secs(2),
     }
 }
 

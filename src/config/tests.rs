@@ -2,9 +2,11 @@
 
 use crate::config::cell::CellConfig;
 use crate::config::read_cell::{CELL_KEYS, read_cell};
+use crate::config::sessions::machine_parameters;
 use crate::jobs::edit::{replace_first, replace_once};
 use cell_calibration::drawn::CameraMount;
 use cell_parts::gripper::CupChannel;
+use cell_values::time::Duration;
 use rearrange::document::Diagnostics;
 use std::path::Path;
 
@@ -139,6 +141,20 @@ fn limits_are_not_optional() {
         let reported = cell(&replace_once(CELL, line, "")).unwrap_err().to_string();
         assert!(reported.contains(&format!("key \"{key}\" is missing")), "{reported}");
     }
+}
+
+/// A real robot's silence ends a motion after 100 ms. A simulated one gets as long on the wall's clock, by
+/// which the system keeps a process waiting.
+#[test]
+fn simulated_time_that_goes_faster_takes_no_patience_away() {
+    let stale = |simulation: &str| {
+        let text = replace_once(CELL, "simulation: {clock_factor: 1}", simulation);
+        machine_parameters(&cell(&text).unwrap(), 0).robot.stale_after
+    };
+    let ms = Duration::from_millis;
+    assert_eq!(stale("simulation: null"), ms(100));
+    assert_eq!(stale("simulation: {clock_factor: 4}"), ms(400));
+    assert_eq!(stale("simulation: {clock_factor: 0.5}"), ms(100));
 }
 
 #[test]

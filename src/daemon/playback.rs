@@ -50,8 +50,9 @@ pub struct Playback {
     began: Option<Timestamp>,
     arm_at: Option<Timestamp>,
     arm: Option<Joints>,
-    held: Option<String>,
-    /// The object on the gripper, by its place in the catalogue, and how it hangs there.
+    /// The object on the gripper, and how it hangs there as the machine knows it.
+    held: Option<(String, Option<Pose2>)>,
+    /// The object drawn there last, by its place in the catalogue, and how.
     carried: Option<(usize, Pose2)>,
 }
 
@@ -174,7 +175,7 @@ impl Playback {
             job: status.job.clone(),
             moves: status.moves,
             held: status.held.clone(),
-            carried: self.held.clone().filter(|_| status.held.is_some()),
+            carried: self.held.as_ref().map(|(held, _)| held.clone()).filter(|_| status.held.is_some()),
             stopped: status.stopped.as_ref().map(in_words),
             // What the stop has to say is said with it.
             hint: match &status.stopped {
@@ -235,16 +236,18 @@ impl Playback {
 
     /// What hangs on the tool goes where it goes.
     fn carry(&mut self, at: f64, tool: &Pose2) {
-        let carries =
-            self.held.as_ref().and_then(|held| self.run.objects.iter().position(|known| known.id == *held));
-        let Some(index) = carries else {
+        let carries = self.held.as_ref().and_then(|(held, known)| {
+            Some((self.run.objects.iter().position(|object| object.id == *held)?, *known))
+        });
+        let Some((index, known)) = carries else {
             self.carried = None;
             return;
         };
         let Some(object) = self.run.objects.get_mut(index) else { return };
-        let hangs = match self.carried {
-            Some((carried, hangs)) if carried == index => hangs,
-            _ => {
+        let hangs = match (known, self.carried) {
+            (Some(hangs), _) => hangs,
+            (None, Some((carried, hangs))) if carried == index => hangs,
+            (None, _) => {
                 let Some((_, [x, y, theta])) = object.at.last() else { return };
                 tool.inverse().compose(&Pose2::new(*x, *y, *theta))
             }
@@ -311,9 +314,10 @@ fn page_within(title: String, files: &[PathBuf], most: u64) -> Result<String, St
     replay_page(&page.finish()).map_err(|error| error.to_string())
 }
 
-/// The object on the gripper.
-fn held_by(machine: Option<&Machine>) -> Option<String> {
-    machine.and_then(|machine| machine.supervisor()?.object_on_the_gripper()).map(str::to_string)
+/// The object on the gripper, and how it hangs there, if that is known.
+fn held_by(machine: Option<&Machine>) -> Option<(String, Option<Pose2>)> {
+    let held = machine.and_then(|machine| machine.supervisor()?.object_on_the_gripper());
+    held.map(|(object, hangs)| (object.to_string(), hangs))
 }
 
 /// Of the frames 0 to 6 and the flange, in the base frame, m.

@@ -235,9 +235,9 @@ impl Shell {
         self.clock.now()
     }
 
-    /// The robot as its last package showed it.
+    /// The robot as its last package showed it, unless that is too old to count on.
     pub fn robot_state(&self) -> Option<&RobotState> {
-        self.machine.robot_state()
+        self.machine.fresh_robot_state(self.now())
     }
 
     /// What of the robot is missing, one line each; empty when it is known and all links are up.

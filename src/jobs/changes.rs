@@ -15,7 +15,7 @@ pub fn changes(before: &Status, now: &Status) -> Vec<String> {
         let disarmed = if now.moving { "disarmed, THE ARM MAY STILL MOVE" } else { "disarmed" };
         lines.push(if now.armed { "ARMED: the arm may move" } else { disarmed }.to_string());
     }
-    if before.moving && !now.moving && !now.armed {
+    if before.moving && !now.moving && !now.armed && now.daemon == before.daemon {
         lines.push("the arm is at rest".to_string());
     }
     if let Some(Stopped { code, message, .. }) =

@@ -3,7 +3,7 @@
 //! In: a seed and how the cell sees, or the daemon's configuration and the simulator's. Out: a [`Stage`].
 
 use crate::config::cell::CellConfig;
-use crate::config::setup::machine_parameters;
+use crate::config::sessions::machine_parameters;
 use crate::demo::cell::{DemoChoice, cell_config, sim_file};
 use crate::demo::task::requirements;
 use crate::pair::eyes::Eye;

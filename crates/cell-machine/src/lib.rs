@@ -14,6 +14,7 @@ pub mod device;
 pub mod event;
 pub mod links;
 pub mod machine;
+mod notified;
 pub mod orders;
 pub mod plan_check;
 pub mod planner;

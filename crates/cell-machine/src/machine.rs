@@ -16,12 +16,12 @@ use crate::device::robot_types::{
 };
 use crate::event::{Arm, Effect, Event, News};
 use crate::links::{Connections, Wish};
+use crate::notified::{Notified, RESTS_AFTER};
 use crate::orders::Reply;
 use crate::snapshot::{Sessions, snapshot};
 use crate::supervisor::cell::Supervisor;
 use crate::supervisor::input::{Action, Input, Record};
 use crate::supervisor::model::CellModel;
-use crate::supervisor::order::RouteAction;
 use crate::supervisor::status::Status;
 use cell_values::time::{Duration, Timestamp};
 use serde::{Deserialize, Serialize};
@@ -87,13 +87,6 @@ struct Requests {
     last: u64,
     since: u64,
     planning: bool,
-}
-
-/// What was notified last.
-#[derive(Default, Deserialize, Serialize)]
-struct Notified {
-    status: Option<Status>,
-    route: Vec<RouteAction>,
 }
 
 impl Machine {
@@ -171,6 +164,11 @@ impl Machine {
     /// The robot as its last package showed it.
     pub fn robot_state(&self) -> Option<&RobotState> {
         self.robot.state()
+    }
+
+    /// The robot's latest state, unless it is too old to count on.
+    pub fn fresh_robot_state(&self, now: Timestamp) -> Option<&RobotState> {
+        self.robot.state().filter(|_| self.robot.fresh(now))
     }
 
     /// What of the robot is missing, one line each; empty when it is known and all links are up.
@@ -454,10 +452,10 @@ impl Machine {
         let sessions = Sessions { robot, gripper, connections };
         let seen = snapshot(now, &sessions, self.gripper_answers);
         let status = supervisor.status();
-        // The robot brakes by itself in a stop of its own, and a person may guide the arm.
-        let moves = seen.robot.is_some_and(|robot| seen.robot_fresh && !robot.stands_still());
-        let status =
-            Status { devices: supervisor.device_notes(&seen), moving: status.moving || moves, ..status };
+        // The last status is written as soon as the arm rests.
+        let long = if supervisor.mode().ending() { Duration::ZERO } else { RESTS_AFTER };
+        let moving = self.notified.moves(now, &seen, long) || status.moving;
+        let status = Status { devices: supervisor.device_notes(&seen), moving, ..status };
         if self.notified.status.as_ref() != Some(&status) {
             self.effects.push_back(Effect::Notify(News::Status(status.clone())));
             self.notified.status = Some(status);

@@ -183,8 +183,7 @@ async fn touch(
         }
         // What was sent before the press is old.
         shell.listen().await;
-        let now = shell.now();
-        let Some(state) = shell.robot_state().filter(|state| state.fresh(now)) else {
+        let Some(state) = shell.robot_state() else {
             let links = shell.missing().join("; ");
             complain(&format!("  the robot does not say where it is ({links}); again"));
             continue;

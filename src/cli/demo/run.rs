@@ -5,7 +5,8 @@
 
 use crate::cli::demo::watch::Watch;
 use crate::config::cell::{CameraDevice, CellConfig, Devices, RecordedPictures};
-use crate::config::setup::{Measured, cell_model, drawn, machine_parameters, nominal_model, scene};
+use crate::config::sessions::machine_parameters;
+use crate::config::setup::{Measured, cell_model, drawn, nominal_model, scene};
 use crate::daemon::cameras::open_camera;
 use crate::daemon::intake::Sources;
 use crate::daemon::recorder::Recorder;

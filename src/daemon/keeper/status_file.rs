@@ -4,7 +4,7 @@
 //! the time. The supervisor's words change when the cell does; ages and queues are of the moment of writing.
 
 use super::StateKeeper;
-use crate::config::setup::gripper_address;
+use crate::config::sessions::gripper_address;
 use crate::jobs::status;
 use cell_edge::clock::unix_now_s;
 use cell_machine::supervisor::status::{Device, DeviceNote, Doing, Status};

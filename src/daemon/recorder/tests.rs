@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::config::load::load_cell;
-use crate::config::setup::machine_parameters;
+use crate::config::sessions::machine_parameters;
 use crate::io::recording::read::{Entry as Read, Item, Items};
 use cell_machine::machine::Machine;
 use cell_machine::supervisor::input::Notice;

@@ -3,7 +3,7 @@
 //! In: the configuration. Out: [`GripperFacts`]. Nothing is written to the device.
 
 use crate::config::cell::{CellConfig, Devices};
-use crate::config::setup::gripper_address;
+use crate::config::sessions::gripper_address;
 use crate::daemon::sockets::{exchange, resolve};
 use crate::doctor::gripper::{Confirmed, GripperFacts};
 use crate::jobs::state::StateFolder;

@@ -3,7 +3,7 @@
 //! In: the configuration. Out: [`RobotFacts`]. Each link has some seconds; they are looked at side by side.
 
 use crate::config::cell::CellConfig;
-use crate::config::setup::RTDE_HZ;
+use crate::config::sessions::RTDE_HZ;
 use crate::doctor::robot::{DashboardFacts, LinkFault, PrimaryFacts, RobotFacts, RtdeFacts};
 use cell_edge::clock::Clock;
 use cell_machine::device::dashboard_session::{DashboardEvent, DashboardSession};

@@ -278,17 +278,18 @@ impl Rules {
         }
     }
 
-    /// Where the status says disarmed and does not say that the arm may move, it rests.
+    /// Where the status says disarmed or paused and does not say that the arm may move, it rests.
     fn check_rest(&mut self, moves: bool, status: Option<&Status>) {
-        let rests = status.is_some_and(|status| !status.armed && !status.moving);
-        self.unshown = if moves && rests { self.unshown + 1 } else { 0 };
+        let rests = status.is_some_and(|status| (!status.armed || status.paused) && !status.moving);
         // What celld does not reach, or does not know of after a start, it cannot show.
         let restarted = self.restarted_at.is_some_and(|at| self.frame <= at + WATCHDOG_FRAMES);
-        if self.unshown == SHOWN_FRAMES && !restarted && !self.played_unreached() {
+        let shown = !moves || !rests || restarted || self.played_unreached();
+        self.unshown = if shown { 0 } else { self.unshown + 1 };
+        if self.unshown == SHOWN_FRAMES {
             let doing = status.map(Status::text).unwrap_or_default();
             self.breach(
                 Rule::StatusNotTrue,
-                format!("the arm moves, and the status says disarmed and {doing:?}"),
+                format!("the arm moves, and the status says that it rests, and {doing:?}"),
             );
         }
     }

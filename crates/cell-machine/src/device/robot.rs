@@ -48,6 +48,7 @@ const FAULT_WINDOW: Duration = Duration::from_secs(60);
 /// The session. See the module.
 #[derive(Deserialize, Serialize)]
 pub struct Robot {
+    stale_after: Duration,
     template: ProgramTemplate,
     rtde: RtdeSession,
     dashboard: DashboardSession,
@@ -94,6 +95,7 @@ impl Robot {
     /// The program text is not a template.
     pub fn new(parameters: RobotParameters) -> Result<Robot, TemplateError> {
         Ok(Robot {
+            stale_after: parameters.stale_after,
             template: ProgramTemplate::new(&parameters.program_text, parameters.watchdog_frames)?,
             rtde: RtdeSession::new(parameters.frequency_hz, parameters.process),
             dashboard: DashboardSession::default(),
@@ -235,7 +237,7 @@ impl Robot {
 
     /// True if the state may be used to start a motion.
     pub fn fresh(&self, now: Timestamp) -> bool {
-        self.state.as_ref().is_some_and(|state| state.fresh(now))
+        self.state.as_ref().is_some_and(|state| now.since(state.received) <= self.stale_after)
     }
 
     /// True unless a program is being started, stopped or ended: a new one would be refused meanwhile.

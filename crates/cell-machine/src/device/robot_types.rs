@@ -85,13 +85,21 @@ pub struct RobotParameters {
     pub frequency_hz: f64,
     /// The number of this process, for another celld that finds the robot taken.
     pub process: u32,
+    /// A state older than this starts no motion and ends the one under way; [`STALE_AFTER`] on a real robot.
+    pub stale_after: Duration,
 }
 
 impl RobotParameters {
     /// celld's own program at the controller's full rate.
     pub fn full_rate() -> RobotParameters {
         let program_text = PROGRAM_TEXT.to_string();
-        RobotParameters { program_text, watchdog_frames: WATCHDOG_FRAMES, frequency_hz: 500.0, process: 1 }
+        RobotParameters {
+            program_text,
+            watchdog_frames: WATCHDOG_FRAMES,
+            frequency_hz: 500.0,
+            process: 1,
+            stale_after: STALE_AFTER,
+        }
     }
 }
 
@@ -121,7 +129,7 @@ impl std::fmt::Display for InputsTaken {
     }
 }
 
-/// A state older than this must not start a motion.
+/// Age of a robot's state after which it must not start a motion, in real time.
 pub const STALE_AFTER: Duration = Duration::from_millis(100);
 
 /// The robot as the last package showed it.
@@ -170,11 +178,6 @@ pub struct RobotState {
 }
 
 impl RobotState {
-    /// False if the package is too old to start a motion on.
-    pub fn fresh(&self, now: Timestamp) -> bool {
-        now.since(self.received) <= STALE_AFTER
-    }
-
     /// True if no joint moves faster than 0.01 rad/s (0.6 degrees per second).
     pub fn stands_still(&self) -> bool {
         self.qd.iter().all(|speed| speed.abs() < 0.01)

@@ -78,6 +78,8 @@ pub struct Supervisor {
     pub(crate) until_it_stands: Vec<UntilItStands>,
     /// The robot has reported standstill since it was last ordered to stop.
     pub(crate) stands: bool,
+    /// A state of the robot has come: before that celld can have moved nothing.
+    pub(crate) robot_seen: bool,
     /// Ways back after a stop, and what they need to know.
     pub(crate) back: Back,
     /// Neither power nor brakes that a stop took back may still come on.
@@ -125,6 +127,7 @@ impl Supervisor {
             release_orders: Vec::new(),
             until_it_stands: Vec::new(),
             stands: true,
+            robot_seen: false,
             back: Back { last_stop, ..Back::default() },
             arm_settled: true,
             quiet: None,

@@ -211,7 +211,7 @@ impl Supervisor {
             self.end_recovery(Err(reason.message.clone()), out);
             // What follows a stop at once is its consequence; what comes later is another.
             let follows = |stop: &LastStop| stop.at.is_some_and(|at| now.since(at) < SAME_STOP);
-            if !self.back.last_stop.as_ref().is_some_and(follows) {
+            if !self.mode.ending() && !self.back.last_stop.as_ref().is_some_and(follows) {
                 self.back.last_stop =
                     Some(LastStop { at: Some(now), reason: reason.clone(), keeps_job: false });
             }
@@ -236,7 +236,14 @@ impl Supervisor {
     pub(crate) fn on_shutdown(&mut self, now: Timestamp, out: &mut Vec<Action>) {
         let reason = Code::Shutdown.because("a person ended celld", "");
         // A stop that is still to be left is what the last status has to say, not the end that followed it.
-        let before = self.back.last_stop.take();
+        let before = self.back.last_stop.take().map(|stop| match stop.keeps_job {
+            // The job that would have gone on ends here.
+            true => {
+                let hint = format!("{}; {}", stop.reason.hint, self.then_with(false));
+                LastStop { keeps_job: false, reason: Reason { hint, ..stop.reason }, ..stop }
+            }
+            false => stop,
+        });
         self.stop_all(now, JobStatus::Interrupted, reason, out);
         self.back.last_stop = before.or(self.back.last_stop.take());
         if !self.mode.ending() {
@@ -273,7 +280,7 @@ impl Supervisor {
     /// Stops the arm and takes back what was wanted of power, brakes and program.
     pub(crate) fn stop_robot(&mut self, out: &mut Vec<Action>) {
         out.push(Action::Robot(RobotCommand::Stop));
-        self.stands = false;
+        self.stands = !self.robot_seen;
         // The program ends or is stopped; its number in the registers proves nothing any more.
         self.nonce = None;
     }

@@ -36,6 +36,7 @@ impl Supervisor {
         let stands = self.arm_stands(outside);
         self.stands |= stands && order.is_none();
         self.arm_settled = outside.arm_settled;
+        self.robot_seen |= fresh.is_some();
         self.back.grips = matches!(gates::empty_handed(outside), Err(GateClosed::Holding(_)));
         self.name_what_hangs(outside, out);
         for waits in std::mem::take(&mut self.until_it_stands) {

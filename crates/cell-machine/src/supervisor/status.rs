@@ -83,20 +83,18 @@ impl Doing {
 }
 
 impl Doing {
-    /// The arm is on its way, is about to be, or is not known to be at rest: also in a cell that is disarmed
-    /// or paused, which finishes what is under way.
+    /// The arm is on its way, or will be without another order: also in a cell that is disarmed or paused,
+    /// which finishes what is under way. A look that waits for the camera goes on to its next pose.
     pub fn may_move(&self) -> bool {
         match self {
             Doing::Stopping
             | Doing::StartingRobot
-            | Doing::Looking(_, _, None)
+            | Doing::Looking(..)
             | Doing::Working(..)
             | Doing::Parking
             | Doing::Recovering(_)
-            | Doing::Visiting(..)
-            | Doing::Ending => true,
-            // It rests where it waits for the camera.
-            Doing::Looking(_, _, Some(_))
+            | Doing::Visiting(..) => true,
+            Doing::Ending
             | Doing::Idle
             | Doing::Waiting(_)
             | Doing::Paused
@@ -254,7 +252,7 @@ impl Supervisor {
         Status {
             armed: self.mode.armed(),
             paused: self.mode.paused(),
-            moving: self.doing().may_move(),
+            moving: self.may_move(),
             doing: self.doing(),
             job: job.map(|job| job.order.id.clone()),
             awaits_approval: matches!(self.phase, Phase::Approve) || self.preview_waits(),
@@ -270,6 +268,12 @@ impl Supervisor {
             }),
             devices: Vec::new(),
         }
+    }
+
+    /// What is under way, a stop that is not confirmed whatever the phase, the way to the park pose that a
+    /// pause does not hold up.
+    fn may_move(&self) -> bool {
+        self.doing().may_move() || !self.stands || !self.arm_settled || self.mode.parks()
     }
 
     /// What a person is to do now.

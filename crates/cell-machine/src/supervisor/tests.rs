@@ -227,20 +227,26 @@ impl Bench {
         actions
     }
 
-    fn feed_once(&mut self, input: Input) -> Vec<Action> {
-        self.now += Duration::from_millis(20);
-        let outside = DeviceSnapshot {
+    /// What is known of the devices, with the robot as given.
+    fn outside<'a>(&self, robot: &'a RobotState) -> DeviceSnapshot<'a> {
+        DeviceSnapshot {
             link_down: self.link_down,
             link_lost: self.link_down,
             all_links_lost: false,
-            robot: Some(&self.robot),
+            robot: Some(robot),
             robot_fresh: !self.silent,
             program_settled: true,
             arm_settled: self.arm_settled,
             gripper_holds: self.vacuum.iter().any(|share| *share > 0.4),
             gripper_answers: self.gripper_answers,
             vacuum: Some(self.vacuum),
-        };
+        }
+    }
+
+    fn feed_once(&mut self, input: Input) -> Vec<Action> {
+        self.now += Duration::from_millis(20);
+        let robot = self.robot.clone();
+        let outside = self.outside(&robot);
         let actions = self.cell.step(self.now, &outside, input);
         for action in &actions {
             if let Action::Robot(RobotCommand::StartProgram { nonce }) = action {
@@ -471,18 +477,6 @@ fn shutdown_stops_the_arm_first_and_names_the_job() {
     assert_eq!(streams(&bench.ticks(100)), 0);
 }
 
-#[test]
-fn the_end_of_celld_does_not_take_the_place_of_a_stop_that_is_still_to_be_left() {
-    let mut bench = faults::working();
-    bench.feed(order(Order::Abort));
-    bench.feed(Input::Shutdown);
-    let stopped = bench.cell.status().stopped.expect("a stop");
-    assert_eq!(stopped.code, Code::Aborted, "{stopped:?}");
-    let mut bench = faults::working();
-    bench.feed(Input::Shutdown);
-    assert_eq!(bench.cell.status().stopped.map(|stop| stop.code), Some(Code::Shutdown));
-}
-
 /// Looks until the job ends; nothing may be requested of the planner or the gripper meanwhile.
 fn ends_without_planning(reference: ReferenceCheck) -> (JobStatus, String) {
     let mut bench = Bench::new();
@@ -594,6 +588,7 @@ mod arming;
 mod faults;
 mod foreign;
 mod lapse;
+mod moving;
 mod preview;
 mod rounds;
 mod sight;

@@ -98,7 +98,7 @@ impl Robot {
     /// What has to hold before a program is started: all of it is the robot's state, fresh.
     fn arm_is_ready(&self) -> Result<&RobotState, Refused> {
         let state = self.state.as_ref().ok_or(Refused::NotConnected(Link::Rtde))?;
-        if !state.fresh(self.clock) {
+        if !self.fresh(self.clock) {
             return Err(Refused::Stale);
         }
         if !state.safety_mode.allows_motion() {

@@ -545,6 +545,15 @@ fn a_kept_job_is_named_until_it_is_cancelled_and_nothing_goes_on_by_itself() {
     let status = bench.cell.status();
     assert!(!status.armed && status.job.is_some());
     assert!(status.stopped.is_some_and(|stop| stop.hint.contains("`celld arm` has job j look")));
+    let mut ending = working();
+    ending.cell.model.tolerances.stop_retries = 1;
+    ending.feed(missed());
+    assert_eq!(ended(&ending.feed(Input::Shutdown)), Some((JobStatus::Interrupted, "shutdown".into())));
+    ending.robot.robot_mode = RobotMode::PowerOff;
+    ending.feed(Input::Robot(RobotEvent::Mode { mode: RobotMode::PowerOff }));
+    let stopped = ending.cell.status().stopped.expect("the stop before the end");
+    assert_eq!(stopped.code, Code::HeartbeatLost);
+    assert!(stopped.hint.ends_with("then `celld arm` and submit again"), "{stopped:?}");
     let mut all = bench.feed(order(Order::Cancel("j".into())));
     all.extend(bench.ticks(3));
     assert_eq!(ended(&all), Some((JobStatus::Cancelled, "cancelled".into())));

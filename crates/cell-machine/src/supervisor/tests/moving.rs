@@ -1,0 +1,120 @@
+//! What the status says of the arm's motion where the cell is disarmed or paused, and what it says last.
+
+use super::faults::working;
+use super::standing::moving_arm;
+use super::*;
+use crate::code::Code;
+use crate::notified::{Notified, RESTS_AFTER};
+use crate::supervisor::input::CameraFault;
+use crate::supervisor::status::Doing;
+
+#[test]
+fn a_paused_look_that_waits_for_the_camera_is_about_to_go_on() {
+    let mut bench = Bench::new();
+    bench.job(false);
+    bench.feed(order(Order::Arm));
+    bench.ticks(20);
+    bench.feed(order(Order::Pause));
+    bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
+    bench.ticks(10);
+    bench.feed(Input::Captured(Err(CameraFault {
+        code: Code::CameraDark,
+        message: "dark".into(),
+        hint: "light".into(),
+        lasting: false,
+    })));
+    let status = bench.cell.status();
+    assert!(matches!(status.doing, Doing::Looking(_, _, Some(Code::CameraDark))), "{:?}", status.doing);
+    assert!(status.paused && status.moving, "{status:?}");
+}
+
+#[test]
+fn a_paused_cell_that_will_park_may_move() {
+    let mut bench = Bench::new();
+    bench.job(true);
+    bench.until_planning();
+    bench.plan();
+    bench.feed(order(Order::Pause));
+    assert!(!bench.cell.status().moving, "it waits for approval");
+    bench.robot.q = Joints([0.5; 6]);
+    bench.feed_once(order(Order::Park));
+    let status = bench.cell.status();
+    assert!(status.paused && status.moving, "{status:?}");
+}
+
+#[test]
+fn a_stop_under_way_counts_in_every_phase() {
+    let mut bench = Bench::new();
+    bench.job(true);
+    bench.until_planning();
+    bench.plan();
+    assert_eq!(bench.cell.status().doing, Doing::AwaitingApproval);
+    assert!(!bench.cell.status().moving);
+    bench.arm_settled = false;
+    bench.ticks(1);
+    let status = bench.cell.status();
+    assert!(status.moving && status.doing == Doing::AwaitingApproval, "{status:?}");
+}
+
+#[test]
+fn the_last_status_of_an_arm_that_rests_says_so() {
+    let mut bench = working();
+    moving_arm(&mut bench);
+    bench.feed(Input::Shutdown);
+    assert!(bench.cell.status().moving, "it brakes");
+    bench.robot.qd = [0.0; 6];
+    bench.feed(Input::Robot(RobotEvent::Stopped));
+    let all = bench.ticks(100);
+    assert!(all.iter().any(|action| matches!(action, Action::End(_))), "{all:?}");
+    let status = bench.cell.status();
+    assert!(status.doing == Doing::Ending && !status.moving, "{status:?}");
+}
+
+#[test]
+fn a_robot_that_was_never_seen_was_not_moved() {
+    let mut bench = Bench::new();
+    bench.silent = true;
+    bench.ticks(3);
+    bench.feed(Input::Shutdown);
+    assert!(!bench.cell.status().moving);
+    let mut bench = Bench::new();
+    bench.ticks(3);
+    bench.silent = true;
+    bench.feed(Input::Shutdown);
+    assert!(bench.cell.status().moving, "its program may still run");
+}
+
+#[test]
+fn the_end_of_celld_does_not_take_the_place_of_a_stop_that_is_still_to_be_left() {
+    let mut bench = working();
+    bench.feed(order(Order::Abort));
+    bench.feed(Input::Shutdown);
+    let stopped = bench.cell.status().stopped.expect("a stop");
+    assert_eq!(stopped.code, Code::Aborted, "{stopped:?}");
+    let mut bench = working();
+    bench.feed(Input::Shutdown);
+    assert_eq!(bench.cell.status().stopped.map(|stop| stop.code), Some(Code::Shutdown));
+}
+
+/// A person guides the arm, and the robot becomes silent: it is not called at rest before it was seen so for a
+/// while; near the limit a speed goes to and fro.
+#[test]
+fn an_arm_rests_once_it_was_seen_at_rest_for_a_while() {
+    let mut bench = Bench::new();
+    let mut shown = Notified::default();
+    let mut moves = |bench: &Bench, ms: u64| {
+        let now = Timestamp::from_secs_f64(1.0) + Duration::from_millis(ms);
+        shown.moves(now, &bench.outside(&bench.robot), RESTS_AFTER)
+    };
+    assert!(!moves(&bench, 0));
+    moving_arm(&mut bench);
+    assert!(moves(&bench, 100));
+    bench.robot.qd = [0.0; 6];
+    bench.silent = true;
+    assert!(moves(&bench, 60_000), "nothing is known of it");
+    bench.silent = false;
+    moving_arm(&mut bench);
+    assert!(moves(&bench, 60_100));
+    bench.robot.qd = [0.0; 6];
+    assert!(moves(&bench, 60_590) && !moves(&bench, 60_600));
+}

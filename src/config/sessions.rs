@@ -1,0 +1,40 @@
+//! What the sessions with the devices are made with, from the cell's configuration.
+//!
+//! In: a [`CellConfig`]. Out: parameters of the machine and its sessions, and what a person confirms the
+//! gripper by.
+
+use crate::config::cell::{CellConfig, Devices};
+use crate::config::check::HELD_SHARE;
+use cell_machine::device::gripper_types::GripperParameters;
+use cell_machine::device::robot_types::{RobotParameters, STALE_AFTER};
+use cell_machine::machine::MachineParameters;
+use cell_values::time::Duration;
+
+/// States a second requested of the robot: a state every 8 ms is fresh enough for the 100 ms limit.
+pub const RTDE_HZ: f64 = 125.0;
+
+/// What the machine is made with; `nonce_seed` differs from run to run.
+pub fn machine_parameters(config: &CellConfig, nonce_seed: u64) -> MachineParameters {
+    // The system may keep a process waiting for some 10 ms of the wall's clock, however fast simulated time
+    // goes: a simulated robot gets that time in full.
+    let factor = config.simulation.map_or(1.0, |simulation| simulation.clock_factor.max(1.0));
+    let stale_after = Duration::from_secs_f64(STALE_AFTER.as_secs_f64() * factor);
+    let robot = RobotParameters { frequency_hz: RTDE_HZ, stale_after, ..RobotParameters::full_rate() };
+    MachineParameters { robot, gripper: gripper_parameters(config), nonce_seed }
+}
+
+/// The gripper session's thresholds.
+pub fn gripper_parameters(config: &CellConfig) -> GripperParameters {
+    GripperParameters {
+        vacuum_min: config.gripper.vacuum_min,
+        vacuum_hold: HELD_SHARE * config.gripper.vacuum_min,
+        grip_within: Duration::from_secs(2),
+        release_within: Duration::from_secs(2),
+    }
+}
+
+/// Host, port and Modbus unit of the gripper: what a person confirms to be it.
+pub fn gripper_address(devices: &Devices) -> String {
+    let Devices { gripper_host, gripper_port, gripper_unit, .. } = devices;
+    format!("{gripper_host}:{gripper_port}, unit {gripper_unit}")
+}
