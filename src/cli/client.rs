@@ -8,6 +8,7 @@ use crate::jobs::state::{StateError, StateFolder};
 use crate::jobs::status::{STARTING, Status};
 use cell_edge::clock::{boot_now_s, unix_now_s};
 use cell_edge::files::FileError;
+use cell_edge::terminal::in_shell;
 use cell_machine::orders::Reply;
 use clap::{Args, ValueEnum};
 use rearrange::document::chain::chain;
@@ -136,15 +137,16 @@ fn sent(state: &StateFolder, daemon: &str, command: &Command) -> Result<Reply, C
 
 /// The status of the daemon that runs on `state`.
 fn running_daemon(state: &StateFolder) -> Result<Status, ClientError> {
-    let status = Status::read(&state.status())?;
     let none = |last: Option<&Status>| ClientError::NoDaemon {
         state: state.root().to_owned(),
         start: start_line(state, last),
     };
-    if !state.is_taken()? {
-        return Err(none(status.as_ref()));
+    // The lock first: a daemon that ends in between has written its status before it lets go of that.
+    let runs = state.is_taken()?;
+    match Status::read(&state.status())? {
+        Some(status) if runs => Ok(status),
+        last => Err(none(last.as_ref())),
     }
-    status.ok_or_else(|| none(None))
 }
 
 /// The command that starts the daemon on a state folder: with the configuration that ran there last.
@@ -153,5 +155,6 @@ pub(super) fn start_line(state: &StateFolder, last: Option<&Status>) -> String {
         return "`systemctl start celld`".to_string();
     }
     let config = last.map(|status| status.config.as_str()).filter(|config| !config.is_empty());
-    format!("`celld run --config {} --state {}`", config.unwrap_or("..."), state.root().display())
+    let config = config.map_or("...".to_string(), |config| in_shell(Path::new(config)));
+    format!("`celld run --config {config} --state {}`", in_shell(state.root()))
 }

@@ -18,6 +18,7 @@ use crate::report::html::html;
 use crate::report::text::{columns, or_dash};
 use cell_edge::clock::unix_now_s;
 use cell_edge::files::write_whole;
+use cell_edge::terminal::in_shell;
 use clap::Args;
 use std::path::{Path, PathBuf};
 
@@ -168,13 +169,13 @@ fn more(state: &StateFolder, job: &str) -> Result<String, ClientError> {
             false => format!("the gripper when celld was there last, {}: {held}", utc::text(*written_unix_s)),
         });
     }
-    let option = format!("--state {}", state.root().display());
+    let option = format!("--state {}", in_shell(state.root()));
     lines.push(format!("`celld report {job} {option}` makes a page of it with plan and pictures"));
     // Without a readable configuration there is nothing to add: the story is complete.
     let cell = status.and_then(|status| load_cell(Path::new(&status.config)).ok());
     let recorded = cell.and_then(|cell| cell.recording).map(|to| recordings_of(&to.folder, job));
     lines.extend(recorded.iter().flatten().map(|file| {
-        format!("`celld replay {} --page {job}-run.html` shows the run moment by moment", file.display())
+        format!("`celld replay {} --page {job}-run.html` shows the run moment by moment", in_shell(file))
     }));
     Ok(format!("\n{}\n", lines.join("\n")))
 }

@@ -17,7 +17,7 @@ use crate::io::recording::repair::{Repaired, is_whole, repair};
 use crate::io::recording::{ABOUT, Recording, log_time_at};
 use crate::jobs::status::Status;
 use crate::report::replay_page::replay_page;
-use cell_edge::terminal::{complain, print};
+use cell_edge::terminal::{complain, in_shell, print};
 use cell_machine::event::{Effect, News};
 use cell_machine::machine::Machine;
 use cell_machine::supervisor::cell::Supervisor;
@@ -197,9 +197,12 @@ impl Run {
         if let (Some(page), Some(to)) = (self.page, to) {
             let html = replay_page(&page.finish()).map_err(|error| error.to_string())?;
             std::fs::write(to, html).map_err(|error| format!("{}: {error}", to.display()))?;
-            eprintln!("{} shows the run in any browser", to.display());
+            complain(&format!("{} shows the run in any browser", to.display()));
         } else {
-            eprintln!("`celld replay --page run.html {}` shows the run in any browser", from.display());
+            complain(&format!(
+                "`celld replay --page run.html {}` shows the run in any browser",
+                in_shell(from)
+            ));
         }
         Ok(u8::from(difference.is_some() || changed))
     }

@@ -61,9 +61,15 @@ fn objects(result: &crate::jobs::record::JobResult) -> Vec<ObjectRow> {
     result.objects.iter().map(row).collect()
 }
 
+/// One row a pick-n-place; none for one that was withdrawn and begun anew, which the log has.
 fn moves(steps: &[StepRecord], started_unix_s: Option<f64>) -> Vec<MoveRow> {
     let mut before = started_unix_s;
-    let row = |step: &StepRecord| {
+    let anew = |(number, step): &(usize, &StepRecord)| {
+        let later = steps.iter().skip(number + 1);
+        step.phase == StepPhase::Abandoned
+            && later.into_iter().any(|later| later.intent.object == step.intent.object)
+    };
+    let row = |(_, step): (usize, &StepRecord)| {
         let done = step.phase == StepPhase::Done;
         let seconds = before.filter(|_| done).map(|before| step.changed_unix_s - before);
         before = Some(step.changed_unix_s);
@@ -78,7 +84,7 @@ fn moves(steps: &[StepRecord], started_unix_s: Option<f64>) -> Vec<MoveRow> {
             vacuum: None,
         }
     };
-    steps.iter().map(row).collect()
+    steps.iter().enumerate().filter(|step| !anew(step)).map(row).collect()
 }
 
 /// The pictures that the daemon has left in the job's folder.
@@ -148,4 +154,37 @@ fn settings(job: &JobRecord) -> Vec<(String, String)> {
         settings.push(pair(what, format!("{seconds:.1} s")));
     }
     settings
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::jobs::record::StepIntent;
+
+    fn step(step: u32, object: &str, phase: StepPhase) -> StepRecord {
+        let at = |x| Pose2::new(x, 0.1, 0.0);
+        let intent = StepIntent {
+            object: object.into(),
+            from: at(0.1),
+            to: at(0.2),
+            kind: StepKind::Goal,
+            tool_from_object: None,
+            table: Vec::new(),
+        };
+        StepRecord { step, intent, phase, changed_unix_s: 10.0 * f64::from(step) }
+    }
+
+    #[test]
+    fn what_was_withdrawn_and_begun_anew_is_one_move() {
+        let steps = [
+            step(1, "lid", StepPhase::Abandoned),
+            step(2, "mug", StepPhase::Done),
+            step(3, "lid", StepPhase::Done),
+            step(4, "box", StepPhase::Abandoned),
+        ];
+        let rows = moves(&steps, Some(0.0));
+        let drawn: Vec<_> =
+            rows.iter().map(|row| (row.object.as_str(), row.seconds, row.unfinished.is_some())).collect();
+        assert_eq!(drawn, [("mug", Some(20.0), false), ("lid", Some(10.0), false), ("box", None, true)]);
+    }
 }

@@ -15,6 +15,7 @@ use crate::config::cell::{RecordedPictures, RecordingConfig};
 use crate::daemon::messages::Displayed;
 use crate::daemon::recordings_folder::{RecordingsFolder, Segment};
 use crate::daemon::shell::Scene;
+use cell_edge::clock::unix_now_s;
 use cell_edge::priority;
 use cell_machine::device::robot_types::RobotState;
 use cell_machine::event::{Effect, Event};
@@ -203,7 +204,8 @@ impl Recorder {
         if let Some(segment) = self.next_segment(now) {
             let cell = machine.supervisor().map(|cell| Box::new(cell.model().clone()));
             let machine = self.decisions.then(|| Piece::machine(now, machine, false).ok()).flatten();
-            if self.sent(now, Entry::Open { segment: segment.clone(), cell, machine }) {
+            let open = Entry::Open { segment: segment.clone(), unix_s: unix_now_s(), cell, machine };
+            if self.sent(now, open) {
                 self.open = Some((segment, now));
                 self.gap = false;
                 self.last_robot = None;

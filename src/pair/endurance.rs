@@ -104,6 +104,10 @@ pub fn endurance(
     Ok((day.wrong, pair))
 }
 
+fn has_jobs(pair: &Pair) -> bool {
+    pair.store.active().is_some() || pair.store.waiting() > 0
+}
+
 /// Drops what was said, reported and written so far: no job is under way.
 fn forget(pair: &mut Pair) {
     pair.notices.clear();
@@ -154,6 +158,11 @@ impl Day<'_> {
         let said = format!("after {:.0} s, row {} ({})", pair.seconds(), row.number, row.name);
         let aftermath = aftermath(pair, self.stage, self.seed, true);
         self.wrong.extend(aftermath.faults.iter().map(|fault| format!("{said}: {fault}")));
+        // A job that outlived the fault is followed by the other, under which no object may be put back.
+        if !pair.run_until(2.0 * JOB_WITHIN_S, |pair| !has_jobs(pair)) {
+            let doing = pair.status().map(|status| status.text()).unwrap_or_default();
+            self.wrong.push(format!("{said}: a job does not end: {doing}"));
+        }
         self.put_back(pair);
     }
 

@@ -41,6 +41,13 @@ pub fn complain(text: &str) {
     let _ = writeln!(std::io::stderr().lock(), "{}", harmless(text));
 }
 
+/// A path as a word of a command that a person may copy into a shell.
+pub fn in_shell(path: &Path) -> String {
+    let text = path.display().to_string();
+    // Only a zero byte has no quotation, and no path has one.
+    shlex::try_quote(&text).map_or(text.clone(), Cow::into_owned)
+}
+
 /// Characters that change in which direction a terminal writes (Unicode Standard Annex 9): with them a line
 /// reads otherwise than it is.
 const DIRECTIONS: [RangeInclusive<char>; 4] =
@@ -117,13 +124,23 @@ pub fn start_log(usual: &str) {
 
 #[cfg(test)]
 mod tests {
-    use super::{harmless, names};
+    use super::{harmless, in_shell, names};
+    use std::path::Path;
 
     #[test]
     fn the_journal_s_stream_is_known_by_device_and_inode() {
         assert!(names("9:4711", 9, 4711));
         for other in ["", "9", "9:4712", "8:4711", "9:4711:1", "x:y"] {
             assert!(!names(other, 9, 4711), "{other}");
+        }
+    }
+
+    #[test]
+    fn a_path_is_one_word_of_a_command() {
+        let word = |path: &str| in_shell(Path::new(path));
+        assert_eq!(word("/var/lib/celld"), "/var/lib/celld");
+        for path in ["my cell/state", "it's", "$HOME", "a;b", "`id`", ""] {
+            assert_eq!(shlex::split(&word(path)), Some(vec![path.to_string()]), "{path}");
         }
     }
 

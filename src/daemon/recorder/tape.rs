@@ -93,6 +93,8 @@ pub(super) enum Entry {
     /// A new file, with what it is of and the machine from which a replay begins.
     Open {
         segment: Segment,
+        /// By the calendar: where a slow disk has this wait, the file is of then all the same.
+        unix_s: f64,
         cell: Option<Box<CellModel>>,
         machine: Option<Piece>,
     },
@@ -179,12 +181,12 @@ impl Tape {
     pub fn take(&mut self, now: Timestamp, entry: Entry) {
         let is_picture = matches!(entry, Entry::Picture(_));
         match entry {
-            Entry::Open { segment, cell, machine } => {
+            Entry::Open { segment, unix_s, cell, machine } => {
                 if let Some(cell) = cell {
                     self.drawing.cell(cell);
                 }
                 // Anew for every file: the cell's time may run faster than the calendar's, or that be set.
-                self.epoch_unix_s = unix_now_s() - now.as_secs_f64();
+                self.epoch_unix_s = unix_s - now.as_secs_f64();
                 self.open_next(&segment);
                 let begun = self.beginning(now, machine.as_ref());
                 self.written(begun);

@@ -26,8 +26,7 @@ export function hold(label, act, attributes = {}) {
     }, HOLD_MS);
   };
   const end = (event) => {
-    // Who only clicks sees why nothing came of it.
-    if (timer && (event?.type === "pointerup" || event?.type === "keyup")) answered(label, { accepted: false, message: t("nothing was ordered: hold the button down for a second") });
+    if (timer && (event?.type === "pointerup" || event?.type === "keyup")) clicked(label);
     clearTimeout(timer);
     timer = null;
     window.removeEventListener("pointerup", end);
@@ -43,20 +42,36 @@ export function hold(label, act, attributes = {}) {
   return button;
 }
 
-export const answers = h("div", { role: "status", "aria-live": "polite" });
+// One place each, so that none takes another's: a stop that was refused, the last answer, a click that was none.
+const [refused, latest, note] = [h("div"), h("div"), h("div")];
+export const answers = h("div", { role: "status", "aria-live": "polite" }, refused, latest, note);
 
-/** What an order came to stands until the next one, with its time: it is of then, not of now. */
+/** An answer leaves after a minute, with the next one, or when it was to be read (`stays`) with the next alone:
+    it is of then, not of now. A refusal stays as long as nothing else was answered, and that of a stop until a
+    stop is accepted: an arm that may still move is not hidden by an order that came after. */
 const OLD_MS = 60000;
+const NOTE_MS = 8000;
 
-export function answered(what, { accepted, message }) {
-  const note = h("p", { class: accepted ? "note" : "note wrong", id: "answer" }, h("time", { class: "soft" }, time(Date.now() / 1000)), " ", h("strong", {}, what + ": "), here(message));
-  answers.replaceChildren(note);
-  if (accepted) setTimeout(() => note.remove(), OLD_MS);
+export function answered(what, { accepted, message }, { stops = false, stays = false } = {}) {
+  const kept = stops && !accepted;
+  const said = h("p", { class: accepted ? "note" : "note wrong", id: kept ? "answer-stop" : "answer" }, h("time", { class: "soft" }, time(Date.now() / 1000)), " ", h("strong", {}, what + ": "), here(message));
+  note.replaceChildren();
+  if (stops) refused.replaceChildren();
+  latest.replaceChildren();
+  (kept ? refused : latest).replaceChildren(said);
+  if (accepted && !stays) setTimeout(() => said.remove(), OLD_MS);
+}
+
+/** Who only clicks a button that is to be held sees why nothing came of it. */
+function clicked(what) {
+  const said = h("p", { class: "note wrong", id: "answer-click" }, h("strong", {}, what + ": "), t("nothing was ordered: hold the button down for a second"));
+  note.replaceChildren(said);
+  setTimeout(() => said.remove(), NOTE_MS);
 }
 
 /** Gives an order and shows what came of it. */
 export async function give(label, command, more) {
-  answered(label, await order(command, more));
+  answered(label, await order(command, more), { stops: command.do === "abort" || command.do === "disarm", stays: command.how === "show" });
 }
 
 /** Stop: abort and disarm, from every screen, also where the page is stale. */
@@ -64,7 +79,7 @@ export async function stop() {
   const [aborted, disarmed] = await Promise.all([order({ do: "abort" }), order({ do: "disarm" })]);
   const messages = [...new Set([aborted.message, disarmed.message])].join("; ");
   const outcome = { accepted: aborted.accepted && disarmed.accepted, message: messages };
-  answered(t("Stop"), outcome);
+  answered(t("Stop"), outcome, { stops: true });
   return outcome;
 }
 
@@ -100,7 +115,7 @@ export function orders() {
   const draw = () => {
     const status = state.status;
     if (!status) return;
-    const key = JSON.stringify([status.armed, status.paused, status.job, status.state, status.stopped, status.awaiting_approval, status.plan?.unix_s, status.holding, status.moving, state.stale, state.control, state.me]);
+    const key = JSON.stringify([status.armed, status.paused, status.job, status.state, status.stopped, status.awaiting_approval, status.plan?.unix_s, status.holding, status.moving && (!status.armed || status.paused), state.stale, state.control, state.me]);
     if (key === drawn) return;
     drawn = key;
     const can = may("operate") && !state.stale && status.state !== "starting";

@@ -96,8 +96,8 @@ fn the_end_of_celld_does_not_take_the_place_of_a_stop_that_is_still_to_be_left()
     assert_eq!(bench.cell.status().stopped.map(|stop| stop.code), Some(Code::Shutdown));
 }
 
-/// A person guides the arm, and the robot becomes silent: it is not called at rest before it was seen so for a
-/// while; near the limit a speed goes to and fro.
+/// A person guides the arm, and the robot becomes silent: it is not called at rest before it was seen so
+/// for a while; near the limit a speed goes to and fro.
 #[test]
 fn an_arm_rests_once_it_was_seen_at_rest_for_a_while() {
     let mut bench = Bench::new();
