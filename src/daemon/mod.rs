@@ -5,13 +5,15 @@
 //! `cameras`: the camera that the configuration names; `film`: its pictures for viewers. `store`: the
 //! journal on a thread of its own; `keeper`: what is kept there; `job_orders`: jobs as the supervisor takes
 //! them; `job_report`: one as a page; `disk`: whether there is room; `last_answers`: when devices answered;
-//! `last_picture`: what the camera showed; `plan_files`: plans for people. `intake`: orders, from each
-//! source on a thread of its own; `state_orders`: those that operators leave in the state folder;
-//! `gripper_memory`: what they have confirmed; `reception`: orders before there is a machine. `recorder`: a
-//! run into files, `playback`: out of them; `recordings_folder`: which of them stay. `watchdog`: whether
-//! all of them get on. Nothing here depends on whether the peer is a robot or the simulator.
+//! `last_picture`: what the camera showed; `carried`: what the arm has taken where since; `plan_files`:
+//! plans for people. `intake`: orders, from each source on a thread of its own; `state_orders`: those that
+//! operators leave in the state folder; `gripper_memory`: what they have confirmed; `reception`: orders
+//! before there is a machine. `recorder`: a run into files, `playback`: out of them; `recordings_folder`:
+//! which of them stay. `watchdog`: whether all of them get on. Nothing here depends on whether the peer is
+//! a robot or the simulator.
 
 pub mod cameras;
+pub mod carried;
 pub mod disk;
 pub mod film;
 pub mod gripper_memory;

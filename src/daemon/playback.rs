@@ -4,6 +4,7 @@
 //! the files of a job. Out: the [`RecordedRun`] that `report::replay_page` draws, or the page. An object
 //! that is carried is where the tool takes it; one that was put down stays there until it is seen again.
 
+use crate::daemon::carried::{Carried, CarriedView};
 use crate::daemon::recorder::piece_of;
 use crate::io::recording::read::{Entry, Item, Items};
 use crate::io::recording::{ABOUT, log_time_at};
@@ -24,7 +25,7 @@ use cell_values::units::{Joints, mm_from_m};
 use cell_vision::observe::Observation;
 use foxglove::Decode;
 use foxglove::messages::CompressedImage;
-use nalgebra::{Isometry3, Point3};
+use nalgebra::Point3;
 use rearrange::geometry::pose::Pose2;
 use std::fs::File;
 use std::io::BufReader;
@@ -50,10 +51,9 @@ pub struct Playback {
     began: Option<Timestamp>,
     arm_at: Option<Timestamp>,
     arm: Option<Joints>,
-    /// The object on the gripper, and how it hangs there as the machine knows it.
-    held: Option<(String, Option<Pose2>)>,
-    /// The object drawn there last, by its place in the catalogue, and how.
-    carried: Option<(usize, Pose2)>,
+    /// The object on the gripper.
+    held: Option<String>,
+    carried: Carried,
 }
 
 impl Playback {
@@ -97,7 +97,7 @@ impl Playback {
             }
             Some(Kind::Effect) => {
                 if let Some(effect) = effect_of(&entry.data) {
-                    self.held = held_by(replay.machine());
+                    self.held = held_by(replay.machine()).map(|(id, _)| id.to_string());
                     self.effect(replay.so_far().until, &effect);
                 }
             }
@@ -125,7 +125,9 @@ impl Playback {
         if let Event::Observed(_, Ok(seen)) = event {
             self.seen(seconds, seen);
         }
-        self.held = held_by(machine);
+        let held = held_by(machine);
+        self.held = held.map(|(id, _)| id.to_string());
+        self.carried.hangs(held);
         let q = machine.and_then(|machine| machine.robot_state()).map(|state| state.q);
         if let (Some(model), Some(q)) = (model, q)
             && self.arm_at.is_none_or(|last| at.since(last) >= ARM_EVERY)
@@ -175,7 +177,7 @@ impl Playback {
             job: status.job.clone(),
             moves: status.moves,
             held: status.held.clone(),
-            carried: self.held.as_ref().map(|(held, _)| held.clone()).filter(|_| status.held.is_some()),
+            carried: self.held.clone().filter(|_| status.held.is_some()),
             stopped: status.stopped.as_ref().map(in_words),
             // What the stop has to say is said with it.
             hint: match &status.stopped {
@@ -231,29 +233,12 @@ impl Playback {
         let tool = model.arm.tool_at(q);
         joints.push(millimetres(&Point3::from(tool.translation.vector)));
         self.run.arm.push((at, joints));
-        self.carry(at, &seen_from_above(&tool));
-    }
-
-    /// What hangs on the tool goes where it goes.
-    fn carry(&mut self, at: f64, tool: &Pose2) {
-        let carries = self.held.as_ref().and_then(|(held, known)| {
-            Some((self.run.objects.iter().position(|object| object.id == *held)?, *known))
-        });
-        let Some((index, known)) = carries else {
-            self.carried = None;
-            return;
-        };
-        let Some(object) = self.run.objects.get_mut(index) else { return };
-        let hangs = match (known, self.carried) {
-            (Some(hangs), _) => hangs,
-            (None, Some((carried, hangs))) if carried == index => hangs,
-            (None, _) => {
-                let Some((_, [x, y, theta])) = object.at.last() else { return };
-                tool.inverse().compose(&Pose2::new(*x, *y, *theta))
-            }
-        };
-        self.carried = Some((index, hangs));
-        object.at.push((at, drawn(&tool.compose(&hangs))));
+        self.carried.arm(model, q);
+        if let Some(CarriedView { id, pose, .. }) = self.carried.held()
+            && let Some(object) = self.run.objects.iter_mut().find(|object| object.id == *id)
+        {
+            object.at.push((at, drawn(pose)));
+        }
     }
 }
 
@@ -315,9 +300,8 @@ fn page_within(title: String, files: &[PathBuf], most: u64) -> Result<String, St
 }
 
 /// The object on the gripper, and how it hangs there, if that is known.
-fn held_by(machine: Option<&Machine>) -> Option<(String, Option<Pose2>)> {
-    let held = machine.and_then(|machine| machine.supervisor()?.object_on_the_gripper());
-    held.map(|(object, hangs)| (object.to_string(), hangs))
+fn held_by(machine: Option<&Machine>) -> Option<(&str, Option<Pose2>)> {
+    machine.and_then(|machine| machine.supervisor()?.object_on_the_gripper())
 }
 
 /// Of the frames 0 to 6 and the flange, in the base frame, m.
@@ -327,12 +311,6 @@ fn origins(bodies: &Bodies, q: &Joints) -> [[f64; 3]; 8] {
 
 fn millimetres(point: &Point3<f64>) -> [i32; 3] {
     [point.x, point.y, point.z].map(|m| mm_from_m(m).round() as i32)
-}
-
-/// A pose by its place and the direction of its x axis.
-fn seen_from_above(pose: &Isometry3<f64>) -> Pose2 {
-    let along = pose.rotation * nalgebra::Vector3::x();
-    Pose2::new(pose.translation.x, pose.translation.y, along.y.atan2(along.x))
 }
 
 #[cfg(test)]

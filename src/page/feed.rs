@@ -4,6 +4,7 @@
 //! last status, arm, arrangement, sentences and picture; messages to every viewer. Nothing here blocks: the
 //! loop hands over and goes on, and a viewer that does not take its messages loses them all and is dropped.
 
+use crate::daemon::carried::{Carried, CarriedView};
 use crate::daemon::film::{Film, Shown};
 use crate::daemon::last_picture::LastPicture;
 use crate::daemon::messages::Displayed;
@@ -14,7 +15,10 @@ use crate::page::views::{ArmView, SightView, arm_view, sight_view};
 use axum::body::Bytes;
 use cell_calibration::files::camera::CameraCalibration;
 use cell_edge::clock::unix_now_s;
+use cell_machine::device::robot_types::RobotState;
 use cell_machine::event::{Arm, Effect};
+use cell_machine::machine::Machine;
+use cell_machine::supervisor::cell::Supervisor;
 use cell_machine::supervisor::model::CellModel;
 use cell_values::time::{Duration, Timestamp};
 use cell_values::units::Joints;
@@ -104,6 +108,7 @@ struct Last {
     arm: Option<ArmView>,
     moving: Option<ArmMotion>,
     seen: Option<Sight>,
+    carried: Vec<CarriedView>,
     sentences: VecDeque<Sentence>,
     cell: Option<Arc<KnownCell>>,
     trends: Trends,
@@ -151,7 +156,15 @@ impl Default for Feed {
 impl Feed {
     /// The observer of the loop.
     pub fn observer(&self) -> Watcher {
-        Watcher { feed: self.clone(), film: None, arm_at: None, vacuum_at: None, holds: None, turned: None }
+        Watcher {
+            feed: self.clone(),
+            film: None,
+            carried: Carried::default(),
+            arm_at: None,
+            vacuum_at: None,
+            holds: None,
+            turned: None,
+        }
     }
 
     /// Messages from now on.
@@ -229,7 +242,8 @@ impl Feed {
 
     /// The same for viewers.
     pub fn last_sight_view(&self) -> Option<SightView> {
-        self.last_sight().map(|sight| sight_view(&sight.seen, sight.unix_s))
+        let last = self.last();
+        last.seen.as_ref().map(|sight| sight_view(&sight.seen, sight.unix_s, &last.carried))
     }
 
     /// What was said, the newest last.
@@ -297,6 +311,7 @@ pub struct Watcher {
     feed: Feed,
     /// Where pictures of a calibration round go.
     film: Option<Film>,
+    carried: Carried,
     turned: Option<Instant>,
     arm_at: Option<Timestamp>,
     vacuum_at: Option<Timestamp>,
@@ -324,15 +339,43 @@ impl Watcher {
         self.feed.turned.store(self.feed.ms(), Ordering::Relaxed);
     }
 
-    fn observed(&self, seen: &Observation, partial: bool) {
+    fn observed(&mut self, seen: &Observation, partial: bool) {
         let unix_s = unix_now_s();
+        self.carried.seen(seen);
         let before = self.feed.last_sight().filter(|_| partial).map(|sight| sight.seen);
         let seen = Arc::new(merged(seen.clone(), before.as_deref()));
-        self.feed.send("sight", &sight_view(&seen, unix_s));
+        self.feed.send("sight", &sight_view(&seen, unix_s, self.carried.objects()));
         let mut last = self.feed.last();
+        last.carried = self.carried.objects().to_vec();
         last.seen = Some(Sight { seen: seen.clone(), unix_s, whole: !partial });
         if let Some(residual) = seen.reference_residual_m {
             push(&mut last.trends.reference_residual_mm, (unix_s, residual * 1e3));
+        }
+    }
+
+    /// The arm, and what it carries.
+    fn arm(&mut self, now: Timestamp, state: &RobotState) {
+        self.arm_at = Some(now);
+        let cell = self.feed.cell();
+        if let Some(cell) = &cell {
+            self.carried.arm(&cell.model, &state.q);
+        }
+        let bodies = cell.as_ref().map(|cell| &cell.model.arm.bodies);
+        let view = ArmView { carried: self.carried.held().cloned(), ..arm_view(state, bodies) };
+        self.feed.send("arm", &view);
+        let mut last = self.feed.last();
+        last.arm = Some(view);
+        last.moving = Some(ArmMotion { q: state.q, qd: state.qd, shown: Instant::now() });
+        last.carried = self.carried.objects().to_vec();
+    }
+
+    /// What hangs on the gripper: where that changes, the table is another.
+    fn hangs(&mut self, machine: &Machine) {
+        if self.carried.hangs(machine.supervisor().and_then(Supervisor::object_on_the_gripper)) {
+            self.feed.last().carried = self.carried.objects().to_vec();
+            if let Some(view) = self.feed.last_sight_view() {
+                self.feed.send("sight", &view);
+            }
         }
     }
 
@@ -372,14 +415,9 @@ impl Observer for Watcher {
     fn on(&mut self, now: Timestamp, scene: Scene) {
         match scene {
             Scene::Turn => self.turned(),
+            Scene::Machine(machine) => self.hangs(machine),
             Scene::Robot(state) if self.arm_at.is_none_or(|at| now.since(at) >= ARM_EVERY) => {
-                self.arm_at = Some(now);
-                let cell = self.feed.cell();
-                let view = arm_view(state, cell.as_ref().map(|cell| &cell.model.arm.bodies));
-                self.feed.send("arm", &view);
-                let mut last = self.feed.last();
-                last.arm = Some(view);
-                last.moving = Some(ArmMotion { q: state.q, qd: state.qd, shown: Instant::now() });
+                self.arm(now, state);
             }
             Scene::Notice(notice) => self.feed.say(notice.alarm, notice.text.clone()),
             Scene::Displayed(Displayed::Observed { seen, partial }) => self.observed(seen, *partial),
@@ -396,7 +434,6 @@ impl Observer for Watcher {
             | Scene::Status(_)
             | Scene::Route(_)
             | Scene::Ended(_)
-            | Scene::Machine(_)
             | Scene::Event(_)
             | Scene::Effect(_) => {}
         }

@@ -5,6 +5,7 @@
 //! ARCHITECTURE.md; pixels of the picture, the centre of the first pixel at (0, 0). Pure.
 
 use crate::config::cell::CellConfig;
+use crate::daemon::carried::CarriedView;
 use crate::daemon::last_picture::Kept;
 use crate::daemon::plan_files::drawn_moves;
 use crate::jobs::record::{GoalPose, PlanRecord};
@@ -127,6 +128,8 @@ pub struct ArmView {
     pub remote: Option<bool>,
     /// A person guides it by hand.
     pub guided: bool,
+    /// What hangs on the gripper.
+    pub carried: Option<CarriedView>,
 }
 
 /// The table as it was seen.
@@ -146,6 +149,8 @@ pub struct SightView {
     pub foreign: Vec<Outline>,
     /// Of the reference markers, mm.
     pub reference_residual_mm: Option<f64>,
+    /// Objects that the arm has carried since, and where they are now.
+    pub carried: Vec<CarriedView>,
 }
 
 /// One object as it was seen.
@@ -281,6 +286,7 @@ pub fn arm_view(state: &RobotState, bodies: Option<&Bodies>) -> ArmView {
         payload: rounded(state.payload),
         remote: state.remote_control,
         guided: state.guided,
+        carried: None,
     }
 }
 
@@ -295,7 +301,7 @@ fn numbers(pose: &Isometry3<f64>) -> [f64; 7] {
 }
 
 /// The table as it was seen at that time.
-pub fn sight_view(seen: &Observation, unix_s: f64) -> SightView {
+pub fn sight_view(seen: &Observation, unix_s: f64, carried: &[CarriedView]) -> SightView {
     SightView {
         unix_s,
         objects: seen
@@ -313,6 +319,7 @@ pub fn sight_view(seen: &Observation, unix_s: f64) -> SightView {
         unknown_markers: seen.unknown.clone(),
         foreign: seen.foreign.iter().flat_map(|report| &report.objects).map(|o| o.outline.clone()).collect(),
         reference_residual_mm: seen.reference_residual_m.map(|residual| residual * 1e3),
+        carried: carried.to_vec(),
     }
 }
 

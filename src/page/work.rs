@@ -10,7 +10,7 @@ use crate::jobs::goal::{GoalEntry, find_goal_file, parse_goal_file, read_goal_fi
 use crate::jobs::history::{JobFilter, since, story};
 use crate::jobs::job_file::read_job;
 use crate::jobs::journal::Journal;
-use crate::jobs::record::{GoalPose, JobRecord, JobSpec, JobState, StepRecord, quoted};
+use crate::jobs::record::{GoalPose, JobRecord, JobResult, JobSpec, JobState, StepRecord, quoted};
 use crate::jobs::spool::is_plain_name;
 use crate::jobs::submit::{Found, Handed, hand_in, look, prepare};
 use crate::page::access::Person;
@@ -28,6 +28,7 @@ use cell_edge::clock::unix_now_s;
 use cell_edge::files::{read_bytes, write_atomic, write_new};
 use cell_machine::code::JobStatus;
 use cell_machine::supervisor::draft::{Draft, Glimpse, NoDraft, draft};
+use cell_machine::times::Use;
 use cell_values::time::Duration;
 use rearrange::document::chain::chain;
 use serde::Deserialize;
@@ -207,12 +208,16 @@ pub async fn shift(State(app): State<App>, Query(wanted): Query<Wanted>) -> Resu
     Ok(Json(body.await??).into_response())
 }
 
+/// The work since `begun` (s since 1970); an hour counts from the first job on, and a move takes no time in
+/// which a person or a gate was waited for.
 fn counts(jobs: &[JobRecord], begun: f64, now: f64) -> Value {
     let of = |status| jobs.iter().filter(|job| job.state == JobState::Ended(status)).count();
     let results = || jobs.iter().filter_map(|job| job.result.as_ref());
     let moves: u64 = results().map(|result| u64::from(result.moves)).sum();
-    let busy_s: f64 = results().map(|result| result.seconds).sum();
-    let hours = ((now - begun) / 3600.0).max(1e-3);
+    let waited = |result: &JobResult| result.times.get(Use::Waiting.as_str()).copied().unwrap_or(0.0);
+    let busy_s: f64 = results().map(|result| (result.seconds - waited(result)).max(0.0)).sum();
+    let first = jobs.iter().map(|job| job.claimed_unix_s).fold(now, f64::min).max(begun);
+    let hours = ((now - first) / 3600.0).max(1e-3);
     json!({
         "since_unix_s": begun, "hours": hours, "done": of(JobStatus::Done), "failed": of(JobStatus::Failed),
         "cancelled": of(JobStatus::Cancelled), "interrupted": of(JobStatus::Interrupted), "moves": moves,

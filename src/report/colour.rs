@@ -1,7 +1,9 @@
 //! One colour an object, in every picture: from its place in the catalogue or instance.
 //!
-//! In: an index, and for what. Out: a CSS colour. Hues lie a golden angle apart, so that neighbours differ;
-//! after twelve objects the lightness changes too. Labels say what colours alone do not. Pure.
+//! In: an index, and for what. Out: a CSS colour. Hues differ between neighbours; after twelve objects the
+//! lightness changes too. Labels say what colours alone do not. Pure.
+
+use cell_values::hue::hue_deg;
 
 /// Distinct on light and dark ground, for outlines and fills.
 pub fn of(index: usize) -> String {
@@ -11,13 +13,13 @@ pub fn of(index: usize) -> String {
 
 /// The same hue at another lightness, %.
 pub fn shade(index: usize, lightness: u32) -> String {
-    let hue = (210.0 + 137.508 * index as f64) % 360.0;
+    let hue = hue_deg(index);
     format!("hsl({hue:.0},58%,{lightness}%)")
 }
 
 /// The colour of [`of`] as red, green and blue, 0 to 1.
 pub fn rgb(index: usize) -> [f64; 3] {
-    let (hue, saturation) = ((210.0 + 137.508 * index as f64) % 360.0, 0.58);
+    let (hue, saturation) = (hue_deg(index), 0.58);
     let lightness = f64::from([46, 54, 40][index / 12 % 3]) / 100.0;
     // The standard conversion: each channel is a trapezoid over the hue.
     let amplitude = saturation * lightness.min(1.0 - lightness);

@@ -97,7 +97,9 @@ const moment = (time) => {
   return (Number.isNaN(date.getTime()) ? new Date(time * 1000) : date).toISOString();
 };
 const clock = (time) => `${moment(time).slice(11, 21)} UTC`;
-let now = 0;
+// Who opens a run that was stopped looks for that moment; any other begins at its beginning.
+const stop = run.states.find(([, state], index) => state.stopped && index > 0 && !run.states[index - 1][1].stopped);
+let now = stop ? Math.min(length, stop[0]) : 0;
 let playing = false;
 // Its end is a whole number of steps: else the browser stops before the last moment, where a stop is.
 const slider = h("input", { type: "range", id: "time", min: 0, max: Math.ceil(length * 20) / 20, step: 0.05, value: 0, "aria-label": "Time of the run", input: () => { now = Math.min(length, Number(slider.value)); draw(); } });

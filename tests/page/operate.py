@@ -225,6 +225,7 @@ def stop_with_an_object(window, cell):
     cell.fault("ur.pstop")
     window.text("#stopped", "protective stop")
     check("the stop is shown with an object in the gripper", page.locator("#holding").is_visible())
+    check("the table has it where the arm has it", page.locator("#carried").count() == 1)
     window.picture("live-stopped")
     window.sound("a stop")
     page.click("#recover-show")
@@ -238,6 +239,8 @@ def stop_with_an_object(window, cell):
     window.hold("#recover-place")
     expect(page.locator("#stopped")).to_have_count(0)
     expect(page.locator("#holding")).to_have_count(0)
+    expect(page.locator("#carried")).to_have_count(0)
+    check("and where it was put, until it is seen there", page.locator(".t-unseen").count() == 1)
     window.text("#armed", "disarmed")
     events = client.events()
     kinds = {next(events)[0] for _ in range(12)}

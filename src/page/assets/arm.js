@@ -3,6 +3,7 @@
 
 import { h, card } from "./dom.js";
 import { on, state } from "./net.js";
+import { carried } from "./table.js";
 import { t } from "./text.js";
 
 const kindColour = { arm: 0x8fa3b8, tool: 0x3f4a56, stand: 0x6b6257, equipment: 0x9a8f7c };
@@ -80,15 +81,23 @@ function scene(three, canvas) {
     const style = new three.MeshStandardMaterial({ color: new three.Color(known.colour.replaceAll(" ", ",").replace("hsl(", "hsl(")), roughness: 0.8 });
     return new three.Mesh(new three.ExtrudeGeometry(flat, { depth: known.height || 0.005, bevelEnabled: false }), style);
   };
+  const place = (mesh, { pose: [x, y, theta], bottom_m: bottom = 0 }) => {
+    mesh.position.set(x, y, bottom);
+    mesh.rotation.z = theta;
+  };
+  let hanging = null;
   const lay = () => {
     lying.clear();
-    const carried = held();
-    for (const { id, pose: [x, y, theta] } of state.sight?.objects ?? []) {
+    hanging = null;
+    const moved = new Map(carried().map((object) => [object.id, object]));
+    const unknown = held();
+    for (const id of new Set([...(state.sight?.objects ?? []).map((object) => object.id), ...moved.keys()])) {
       const known = state.cell.objects.find((other) => other.id === id);
-      if (!known || id === carried) continue;
+      const at = moved.get(id) ?? (id === unknown ? null : state.sight.objects.find((object) => object.id === id));
+      if (!known || !at) continue;
       const mesh = prism(known);
-      mesh.position.set(x, y, 0);
-      mesh.rotation.z = theta;
+      place(mesh, at);
+      if (at.held) hanging = { id, mesh };
       lying.add(mesh);
     }
     draw();
@@ -115,6 +124,9 @@ function scene(three, canvas) {
   const draw = () => { if (!wanted) { wanted = true; requestAnimationFrame(paint); } };
   const move = () => {
     (state.arm?.frames ?? []).forEach((frame, index) => frames[index] && pose(frames[index], frame));
+    const taken = state.arm?.carried;
+    if (taken?.id !== hanging?.id) return lay();
+    if (taken) place(hanging.mesh, taken);
     draw();
   };
   const turned = (dx, dy) => { look.turn -= dx; look.tilt = Math.min(1.5, Math.max(-0.1, look.tilt + dy)); draw(); };

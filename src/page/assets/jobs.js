@@ -59,7 +59,7 @@ export function jobsPage(main, chosen) {
     }
   };
   fill(main, one, h("div", { class: "gap" }), card(t("Jobs"), h("div", { class: "row" }, h("label", { for: "failed" }, failed, " ", t("only failed ones")), wanted),
-    h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, ["job", "state", "came", "moves / bound", "time", "what"].map((title) => h("th", { scope: "col" }, t(title))))), list)), none));
+    h("div", { class: "scroll" }, h("table", { id: "jobs" }, h("thead", {}, h("tr", {}, ["job", "state", "came", "moves / bound", "time", "what"].map((title) => h("th", { scope: "col" }, t(title))))), list)), none));
   let key = "";
   const stop = on("status", () => {
     const now = JSON.stringify([state.status?.job, state.status?.waiting]);

@@ -3,7 +3,7 @@
 import { h, s, card, fill } from "./dom.js";
 import { api, colour, object, on, state } from "./net.js";
 import { here, t, time, duration, number } from "./text.js";
-import { view, ground, outline, foreign, labels, arrows, numbers, after, at } from "./table.js";
+import { view, ground, outline, foreign, labels, arrows, numbers, after, at, carried, onTheGripper } from "./table.js";
 import { picture } from "./picture.js";
 import { arm3d } from "./arm.js";
 import { orders } from "./orders.js";
@@ -31,6 +31,8 @@ function now() {
     status.hint && h("p", { class: "hint", id: "hint" }, "→ ", here(status.hint)),
     status.shared && h("p", { class: "soft", id: "shared" }, t("Configuration shared with other cells"), ": ", status.shared),
     status.because && h("p", { class: "soft" }, status.because),
+    // Nothing was looked at since celld was started: where to begin.
+    !state.sight && !status.job && !status.stopped && h("p", { class: "soft", id: "begin" }, t("To begin:"), " ", h("a", { href: "#goal" }, t("Set a goal")), ". ", t("There the cell looks at the table once it is armed, and plans before it moves anything.")),
     h("p", {},
       // What is under way is finished: until then the arm moves in a cell that is disarmed or paused.
       h("span", { class: `badge ${status.armed || status.moving ? "warn" : "good"}`, id: "armed" }, status.armed ? t("ARMED: the arm may move") : status.moving ? t("disarmed, THE ARM MAY STILL MOVE") : t("disarmed")), " ",
@@ -39,7 +41,7 @@ function now() {
     status.stopped && h("p", { class: "note wrong", id: "stopped" }, h("strong", {}, status.stopped.message), h("br"), status.stopped.hint === status.hint ? "" : here(status.stopped.hint)),
     status.job && h("div", {}, h("p", {}, h("strong", {}, t("Job {job}", { job: status.job })), all ? `: ${t("{made} of {all} moves", { made, all })}` : "", left !== null ? `, ${t("about {time} left", { time: duration(left) })}` : ""),
       all ? h("progress", { value: made, max: all, "aria-label": t("Progress of the job") }) : null),
-    h("p", { class: "soft" }, t("{count} jobs wait", { count: status.waiting }), status.unread ? `, ${t("{count} files are not read yet", { count: status.unread })}` : ""),
+    h("p", { class: "soft" }, status.job ? t("{count} more jobs wait", { count: status.waiting }) : t("{count} jobs wait", { count: status.waiting }), status.unread ? `, ${t("{count} files are not read yet", { count: status.unread })}` : ""),
   ];
 }
 
@@ -64,7 +66,7 @@ export function tableCard() {
   const scrub = h("div", { hidden: true }, h("label", { for: "scrub" }, t("Step through the plan")), slider, words);
   const sight = h("p", { class: "soft" });
   const element = card(t("Table"), holder, scrub, sight);
-  let plan = null;
+  let [plan, follow] = [null, null];
   const draw = () => {
     if (!state.cell) return;
     const status = state.status;
@@ -79,22 +81,35 @@ export function tableCard() {
     const moving = plan && status?.job && !count;
     const poses = plan && count ? after(plan, count) : new Map((seen?.objects ?? []).map(({ id, pose }) => [id, pose]));
     if (!poses.size && plan) for (const { id, pose } of plan.table) poses.set(id, pose);
+    const moved = count ? [] : carried();
+    for (const { id, pose } of moved) poses.set(id, pose);
+    const unseen = new Set(moved.map(({ id }) => id));
+    const hanging = moved.find(({ held }) => held);
     const made = moving ? (status.step?.[0] ?? 0) : count;
     const steps = plan?.steps ?? [];
     const goals = new Map(steps.filter(({ kind }) => kind === "goal").map(({ object: id, to }) => [id, to]));
     const buffers = steps.filter(({ kind }) => kind !== "goal");
     const drawing = view();
     drawing.setAttribute("aria-label", t("The table from above: {count} objects, {moves} moves planned", { count: poses.size, moves: steps.length }));
-    drawing.append(ground(), s("g", {}, [...poses].map(([id, pose]) => outline(id, pose, "now"))),
+    drawing.append(ground(), s("g", {}, [...poses].filter(([id]) => id !== hanging?.id).map(([id, pose]) => outline(id, pose, unseen.has(id) ? "now t-unseen" : "now"))),
       s("g", {}, [...goals].map(([id, pose]) => outline(id, pose, "goal")), buffers.map(({ object: id, to }) => outline(id, to, "goal"))),
       s("g", {}, (seen?.foreign ?? []).map(foreign)), s("g", {}, arrows(steps, made)),
-      labels([...numbers(steps, made), ...[...poses].map(([id, pose]) => ({ text: id, at: at(object(id)?.centre ?? [0, 0], pose) }))]));
+      labels([...numbers(steps, made), ...[...poses].filter(([id]) => id !== hanging?.id).map(([id, pose]) => ({ text: id, at: at(object(id)?.centre ?? [0, 0], pose) }))]));
+    follow = hanging ? onTheGripper(drawing, hanging.id) : null;
+    follow?.(hanging);
     fill(holder, drawing);
     words.textContent = count ? ` ${t("after move {count}: {object}", { count, object: steps[count - 1].object })}` : ` ${t("now")}`;
     sight.textContent = seen ? `${t("Seen at {time}", { time: time(seen.unix_s) })}${seen.missing.length ? `; ${t("not seen")}: ${seen.missing.join(", ")}` : ""}${seen.doubted.length ? `; ${seen.doubted.map((pair) => pair[1]).join("; ")}` : ""}${seen.foreign.length ? `; ${t("{count} things without a marker", { count: seen.foreign.length })}` : ""}` : t("The table was not seen yet.");
   };
   slider.addEventListener("input", draw);
-  const stops = [on("status", draw), on("sight", draw), on("cell", draw)];
+  // What hangs on the gripper goes where the arm goes; all else is drawn anew when it changes.
+  const along = () => {
+    if (Number(slider.value)) return;
+    const hanging = state.arm?.carried;
+    if (Boolean(hanging) !== Boolean(follow)) draw();
+    else if (hanging) follow(hanging);
+  };
+  const stops = [on("status", draw), on("sight", draw), on("cell", draw), on("arm", along)];
   draw();
   return { element, stop: () => stops.forEach((stop) => stop()) };
 }

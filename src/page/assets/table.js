@@ -54,8 +54,30 @@ export function outline(id, pose, kind, wrong = false) {
   if (!known) return null;
   const drawn = s("path", { class: `t-${kind}${wrong ? " t-wrong" : ""}`, d: path(known.outline, pose, state.cell.table[1]) }, s("title", {}, id));
   drawn.style.stroke = known.colour;
-  if (kind === "now") drawn.style.fill = known.colour;
+  if (kind.startsWith("now")) drawn.style.fill = known.colour;
   return drawn;
+}
+
+/** Objects that the arm has carried since they were seen, each where it is now. */
+export function carried() {
+  const hanging = state.arm?.carried;
+  const others = (state.sight?.carried ?? []).filter(({ id, held }) => id !== hanging?.id && !held);
+  return hanging ? [...others, hanging] : others;
+}
+
+/** An object that hangs on the gripper; what is returned moves it. */
+export function onTheGripper(drawing, id) {
+  const known = object(id);
+  const drawn = outline(id, [0, 0, 0], "now t-held");
+  if (!drawn) return () => {};
+  const label = s("text", { class: "t-label" }, id);
+  drawing.append(s("g", { id: "carried" }, drawn, label));
+  return ({ pose }) => {
+    drawn.setAttribute("d", path(known.outline, pose, state.cell.table[1]));
+    const [x, y] = at(known.centre ?? [0, 0], pose);
+    label.setAttribute("x", (x * 1000).toFixed(1));
+    label.setAttribute("y", ((state.cell.table[1] - y) * 1000).toFixed(1));
+  };
 }
 
 export function foreign(corners) {

@@ -50,6 +50,7 @@ use crate::world::spec::{
 };
 use crate::world::spec::{WorldError, WorldObject, WorldSpec};
 use crate::world::vacuum::{Channel, ChannelFaults, Pump, VacuumMode};
+use cell_values::hue::hue_deg;
 use cell_values::image::tag36h11_bitmap;
 use nalgebra::{Isometry3, Vector3};
 use rand::SeedableRng;
@@ -441,9 +442,9 @@ fn body(index: usize, object: WorldObject) -> Result<Body, WorldError> {
     })
 }
 
-/// Distinct, not too bright colours by number: steps of the golden angle round the hue circle.
+/// Distinct, not too bright colours by number, of the hues that celld draws its objects in.
 fn palette(index: usize) -> [u8; 3] {
-    let hue = (index as f64 * 0.618_034).fract() * std::f64::consts::TAU;
+    let hue = hue_deg(index).to_radians();
     [0.0, 2.094, 4.189].map(|phase| (130.0 + 55.0 * (hue - phase).cos()) as u8)
 }
 
