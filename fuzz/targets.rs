@@ -169,7 +169,7 @@ pub fn dashboard(data: &[u8]) {
     }
     talk(Port::Dashboard, data, 3, |replies| assert!(replies.ends_with(b"\n"), "{replies:?}"));
     receive!(DashboardSession::default(), data, |client: &mut DashboardSession, now| {
-        let _ = client.ask(now, Command::SafetyMode);
+        let _ = client.request(now, Command::SafetyMode);
     });
 }
 

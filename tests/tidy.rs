@@ -214,6 +214,11 @@ fn comments_stay_within_their_columns() {
 }
 
 #[test]
+fn things_do_not_act_like_persons() {
+    none(tree::text_files().iter().flat_map(rules::persons_words).collect());
+}
+
+#[test]
 fn files_import_in_no_circle() {
     let sources = tree::sources();
     none(tree::by_crate(&sources).iter().flat_map(|files| imports::circles(files)).collect());

@@ -5,7 +5,7 @@
 //! all cores.
 
 use crate::pair::Choice;
-use crate::pair::eyes::Eye;
+use crate::pair::camera_view::SightKind;
 use crate::pair::page::{PAGE, PAGE_SEED, expected};
 use crate::pair::run::run_jobs;
 use crate::pair::storm::{storm, strikes};
@@ -47,7 +47,7 @@ pub fn table(figures: &[Figure]) -> String {
 ///
 /// # Errors
 /// The loop cannot be set up.
-pub fn speed(what: &'static str, eye: Eye, jobs: usize, seed: u64) -> Result<Figure, String> {
+pub fn speed(what: &'static str, eye: SightKind, jobs: usize, seed: u64) -> Result<Figure, String> {
     let stage = stage(seed, eye)?;
     let choice = Choice { eye, ..Choice::of(seed) };
     let began = Instant::now();
@@ -67,7 +67,7 @@ pub fn twice(first: u64, seeds: u64) -> Result<Figure, String> {
     let same: Result<Vec<bool>, String> = (first..first.saturating_add(seeds))
         .into_par_iter()
         .map(|seed| {
-            let stage = stage(seed, Eye::Corners)?;
+            let stage = stage(seed, SightKind::Corners)?;
             let once = || run_jobs(&stage, Choice::of(seed), 1, &[], &mut |_| {}).map(|(summary, _)| summary);
             let (one, other) = (once(), once());
             Ok(matches!((one, other), (Ok(one), Ok(other)) if one == other && one.is_clean()))
@@ -88,7 +88,7 @@ pub fn faults(first: u64, jobs: u64, failed: &(dyn Fn(u64) + Sync)) -> Result<Fi
     let ran: Result<Vec<usize>, String> = (first..first.saturating_add(jobs))
         .into_par_iter()
         .map(|seed| {
-            let (aftermath, _) = storm(&stage(seed, Eye::Corners)?, Choice::of(seed), &strikes(seed))?;
+            let (aftermath, _) = storm(&stage(seed, SightKind::Corners)?, Choice::of(seed), &strikes(seed))?;
             if !aftermath.faults.is_empty() {
                 failed(seed);
             }
@@ -110,7 +110,7 @@ pub fn faults(first: u64, jobs: u64, failed: &(dyn Fn(u64) + Sync)) -> Result<Fi
 /// # Errors
 /// The loop cannot be set up.
 pub fn sweep() -> Result<Figure, String> {
-    let stage = stage(PAGE_SEED, Eye::Corners)?;
+    let stage = stage(PAGE_SEED, SightKind::Corners)?;
     let page = expected(PAGE);
     let cases: Vec<_> = cases().collect();
     let began = Instant::now();

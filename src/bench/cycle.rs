@@ -9,7 +9,7 @@ use crate::bench::script::{Carried, Rest, Script};
 use crate::config::cell::{CellConfig, MotionLimits};
 use crate::demo::cell::{DemoChoice, cell_config, sim_file};
 use crate::demo::task::fitted;
-use crate::pair::eyes::Eye;
+use crate::pair::camera_view::SightKind;
 use crate::pair::run::{bring_up, true_poses};
 use crate::pair::table::stage_of;
 use crate::pair::{Choice, Pair};
@@ -229,7 +229,7 @@ pub fn run(pace: &Pace, name: &str, seed: u64) -> Result<CycleRun, String> {
     config.foreign = ForeignRule::Off;
     let stage = stage_of(&config, &sim_file(&instance, &config, &choice)?, seed)?;
     let model = stage.model.clone();
-    let mut pair = Pair::new(stage, Choice { eye: Eye::Corners, ..Choice::of(seed) })
+    let mut pair = Pair::new(stage, Choice { eye: SightKind::Corners, ..Choice::of(seed) })
         .map_err(|error| error.to_string())?;
     if !bring_up(&mut pair) {
         return Err("the cell did not come up".to_string());

@@ -232,26 +232,28 @@ fn command_to_motion(host: IpAddr) -> Result<Vec<u64>, String> {
     let mut client = Client::connect(host, &names, &["input_int_register_24".to_owned()])?;
     let mut cycles = Vec::new();
     for command in 1..=COMMANDS {
-        let (mut stood, mut asked_at) = (0, None);
+        let (mut stood, mut requested_at) = (0, None);
         loop {
             let values = client.next()?;
             let [Value::Uint64(step), Value::Vector6D(speed)] = values[..] else {
                 return Err("the simulator sent something else".to_owned());
             };
             let moves = speed.iter().any(|speed| speed.abs() > 1e-9);
-            match asked_at {
+            match requested_at {
                 // Ten frames of rest: the move before is over.
                 None if moves => stood = 0,
                 None if stood < 10 => stood += 1,
                 None => {
                     client.write(command.to_be_bytes().to_vec())?;
-                    asked_at = Some(step);
+                    requested_at = Some(step);
                 }
-                Some(asked) if moves => {
-                    cycles.push(step - asked);
+                Some(requested) if moves => {
+                    cycles.push(step - requested);
                     break;
                 }
-                Some(asked) if step > asked + 5000 => return Err("a command had no effect".to_owned()),
+                Some(requested) if step > requested + 5000 => {
+                    return Err("a command had no effect".to_owned());
+                }
                 Some(_) => {}
             }
         }

@@ -129,7 +129,7 @@ pub fn watch(client: &mut Client, end: Instant) -> Result<Seen, String> {
 ///
 /// # Errors
 /// The connection broke.
-pub fn ask(host: IpAddr, question: &str) -> Result<String, String> {
+pub fn request(host: IpAddr, question: &str) -> Result<String, String> {
     let said = |error: std::io::Error| format!("the simulator's dashboard: {error}");
     let mut stream = TcpStream::connect(SocketAddr::new(host, DASHBOARD)).map_err(said)?;
     stream.set_read_timeout(Some(PATIENCE)).map_err(said)?;
@@ -144,8 +144,8 @@ pub fn ask(host: IpAddr, question: &str) -> Result<String, String> {
 /// # Errors
 /// It did not come to that.
 pub fn bring_up(host: IpAddr) -> Result<(), String> {
-    ask(host, "brake release")?;
-    wait_for("the arm runs", || Ok(ask(host, "robotmode")? == "Robotmode: RUNNING"))
+    request(host, "brake release")?;
+    wait_for("the arm runs", || Ok(request(host, "robotmode")? == "Robotmode: RUNNING"))
 }
 
 /// Sends a program and waits until it runs.
@@ -156,7 +156,7 @@ pub fn play(host: IpAddr, program: &str) -> Result<(), String> {
     let said = |error: std::io::Error| format!("the simulator's primary interface: {error}");
     let mut stream = TcpStream::connect(SocketAddr::new(host, PRIMARY)).map_err(said)?;
     stream.write_all(program.as_bytes()).map_err(said)?;
-    wait_for("the program runs", || Ok(ask(host, "running")? == "Program running: true"))
+    wait_for("the program runs", || Ok(request(host, "running")? == "Program running: true"))
 }
 
 fn wait_for(what: &str, mut done: impl FnMut() -> Result<bool, String>) -> Result<(), String> {

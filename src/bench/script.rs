@@ -19,7 +19,7 @@ use ur_sim::camera::CameraTiming;
 const NAIVE_SETTLE_S: f64 = 0.15;
 const DETECTION_S: f64 = 0.045;
 
-/// A place where the arm rests; from a pick on, what may be asked of it with the object.
+/// A place where the arm rests; from a pick on, what may be required of it with the object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Rest {
     Look(Joints),

@@ -56,7 +56,7 @@ fn draw(args: &BenchFiguresArgs) -> Result<(), String> {
     if drawn == 0 {
         let names: Vec<&str> = FIGURES.iter().map(|spec| spec.name).collect();
         return Err(format!(
-            "no row belongs into the figures asked for; `celld bench planning --figure NAME` runs the cells \
+            "no row belongs into the requested figures; `celld bench planning --figure NAME` runs the cells \
              of one ({})",
             names.join(", ")
         ));

@@ -5,7 +5,7 @@
 //! job did not end, or a seed gave two different runs.
 
 use crate::bench::closed_loop::{Figure, faults, speed, sweep, table, twice};
-use crate::pair::eyes::Eye;
+use crate::pair::camera_view::SightKind;
 use cell_edge::terminal::{complain, print};
 
 /// Arguments of `celld bench loop`.
@@ -38,8 +38,8 @@ pub struct BenchLoopArgs {
 pub fn run(args: &BenchLoopArgs) -> u8 {
     let mut figures = Vec::new();
     let parts: [(bool, Part); 5] = [
-        (args.jobs > 0, |args| speed("jobs, corners", Eye::Corners, args.jobs, args.seed)),
-        (args.pictures > 0, |args| speed("jobs, pictures", Eye::Pictures, args.pictures, args.seed)),
+        (args.jobs > 0, |args| speed("jobs, corners", SightKind::Corners, args.jobs, args.seed)),
+        (args.pictures > 0, |args| speed("jobs, pictures", SightKind::Pictures, args.pictures, args.seed)),
         (args.seeds > 0, |args| twice(args.seed, args.seeds)),
         (args.faults > 0, |args| faults(args.seed, args.faults, &repeat_with)),
         (!args.no_sweep, |_| sweep()),

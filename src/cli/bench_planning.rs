@@ -161,9 +161,9 @@ fn run_all(args: &BenchPlanningArgs, stop: &AtomicBool) -> Result<u8, String> {
         Some(path) => ResultsFile::open(path).map(|(file, found)| (Some(file), found))?,
         None => (None, Found::default()),
     };
-    let mut desk = Desk::new(args, file, &units, found);
-    let left: Vec<Unit> = units.into_iter().filter(|unit| !desk.table.has(&unit.key)).collect();
-    desk.announce(&left);
+    let mut rows = RowSink::new(args, file, &units, found);
+    let left: Vec<Unit> = units.into_iter().filter(|unit| !rows.table.has(&unit.key)).collect();
+    rows.announce(&left);
     let limits_of = |unit: &Unit| limits(args, &unit.cell);
     let runner = Runner {
         load: &|unit| source.problem(unit),
@@ -171,13 +171,13 @@ fn run_all(args: &BenchPlanningArgs, stop: &AtomicBool) -> Result<u8, String> {
         threads: threads(args),
         stop: &|| stop.load(Ordering::Relaxed),
     };
-    let ended = runner.run(&left, &mut |row| desk.take(row));
-    desk.bar.finish_and_clear();
+    let ended = runner.run(&left, &mut |row| rows.take(row));
+    rows.bar.finish_and_clear();
     ended?;
-    desk.finish(measured.as_deref());
-    if stop.load(Ordering::Relaxed) && desk.fresh < left.len() {
+    rows.finish(measured.as_deref());
+    if stop.load(Ordering::Relaxed) && rows.fresh < left.len() {
         let go_on = if args.out.is_some() { "; the same command goes on from there" } else { "" };
-        complain(&format!("stopped with {} of {} runs to go{go_on}", left.len() - desk.fresh, left.len()));
+        complain(&format!("stopped with {} of {} runs to go{go_on}", left.len() - rows.fresh, left.len()));
         return Ok(130);
     }
     Ok(0)
@@ -264,9 +264,9 @@ fn cells(args: &BenchPlanningArgs) -> Vec<Cell> {
         return figures(&args.figure).iter().flat_map(Spec::cells).collect();
     }
     if args.targets {
-        let asked = |cell: &Cell| args.cells.is_empty() || args.cells.iter().any(|some| some.takes(cell));
+        let requested = |cell: &Cell| args.cells.is_empty() || args.cells.iter().any(|some| some.takes(cell));
         let there = |cell: &Cell| args.data.is_some() || ["rand", "sq"].contains(&cell.scenario.as_str());
-        let kept = |cell: &Cell| asked(cell) && there(cell);
+        let kept = |cell: &Cell| requested(cell) && there(cell);
         return TARGETS.iter().flat_map(Target::cells).filter(kept).collect();
     }
     let mut cells = Vec::new();
@@ -286,7 +286,7 @@ fn cells(args: &BenchPlanningArgs) -> Vec<Cell> {
 }
 
 /// Where rows arrive: file, standard output, progress.
-struct Desk<'a> {
+struct RowSink<'a> {
     args: &'a BenchPlanningArgs,
     file: Option<ResultsFile>,
     /// Rows of the requested runs, those of earlier runs first.
@@ -297,8 +297,13 @@ struct Desk<'a> {
     csv: bool,
 }
 
-impl<'a> Desk<'a> {
-    fn new(args: &'a BenchPlanningArgs, file: Option<ResultsFile>, units: &[Unit], found: Found) -> Desk<'a> {
+impl<'a> RowSink<'a> {
+    fn new(
+        args: &'a BenchPlanningArgs,
+        file: Option<ResultsFile>,
+        units: &[Unit],
+        found: Found,
+    ) -> RowSink<'a> {
         if found.cut {
             complain("the results file ended in the middle of a line; that case is run again");
         }
@@ -308,7 +313,7 @@ impl<'a> Desk<'a> {
             table.add(row);
         }
         let bar = ProgressBar::hidden();
-        Desk { args, file, table, fresh: 0, failures: 0, bar, csv: args.format != "table" }
+        RowSink { args, file, table, fresh: 0, failures: 0, bar, csv: args.format != "table" }
     }
 
     /// Says what there is to do, and prints the rows that are there.

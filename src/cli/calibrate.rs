@@ -186,7 +186,7 @@ fn round(args: &RoundArgs, wanted: Wanted, proposed: Option<usize>, stop: Arc<At
     };
     // Before the arm moves for nothing.
     let proposing = proposed.map_or(Ok(()), |_| propose::check(&drawn(&config)).map_err(bad_input));
-    if let Err(fault) = proposing.and_then(|()| args.tie.fitted(&config)) {
+    if let Err(fault) = proposing.and_then(|()| args.registration.fitted(&config)) {
         complain(&fault.message);
         return fault.code;
     }
@@ -221,7 +221,7 @@ fn fits_arm(config: &CellConfig, args: &RoundArgs, wanted: Wanted, arm: &Provena
     if wanted == Wanted::Table {
         known_mount(config, arm).map_err(bad_input)?;
     }
-    match args.tie.fitted(config)? {
+    match args.registration.fitted(config)? {
         Some(touched) => Ok(touched.check_robot(arm)?),
         None => Ok(()),
     }
@@ -303,7 +303,7 @@ fn camera_and_lens(config: &CellConfig) -> Result<(MonitoredCamera, CameraCalibr
         }
     }
     let lens = read_lens(&config.calibration.camera).map_err(|error| {
-        format!("{error}; this camera does not tell its lens: measure it with `celld calibrate camera`")
+        format!("{error}; this camera reports no intrinsics: measure it with `celld calibrate camera`")
     })?;
     Ok((open_camera(config, Some(lens.model.clone()))?, lens))
 }

@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_is_named_and_a_part_is_written_only_when_asked_for() {
+    fn what_is_missing_is_named_and_a_part_is_written_only_when_requested() {
         let folder = tempfile::tempdir().unwrap();
         let (image, out) = (folder.path().join("t.png"), folder.path().join("goal.yaml"));
         let args = args(&image, &out);

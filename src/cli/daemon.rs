@@ -29,7 +29,7 @@ use crate::io::camera::monitored::MonitoredCamera;
 use crate::jobs::state::StateFolder;
 use crate::jobs::status::{Remarks, Status};
 use crate::page::feed::{Feed, KnownCell, Watcher};
-use crate::page::orders::desk;
+use crate::page::orders::order_channel;
 use crate::page::shared::Setup;
 use crate::page::texts::Texts;
 use crate::page::{ServeError, app};
@@ -273,8 +273,8 @@ async fn daemon(begin: Begin, anew: Anew, stop: Arc<AtomicBool>) -> Result<(), S
     for pose in blocked_poses(&config, &model) {
         tracing::warn!("taught pose {pose}; the arm will not go there");
     }
-    let eyes = perception_setup(&config, &measured, &arm, diagnostic_images)?;
-    shell.see_with(PerceptionSetup { film: film.clone(), ..eyes });
+    let camera_view = perception_setup(&config, &measured, &arm, diagnostic_images)?;
+    shell.see_with(PerceptionSetup { film: film.clone(), ..camera_view });
     let (pictures, lens) = (LastPicture::new(Some(measured.camera.clone())), measured.camera.clone());
     feed.known(known_cell(&model, &calibration, &arm, &pictures));
     shell.commission(model, config.arm_at_start);
@@ -319,19 +319,20 @@ fn opened(begin: &Begin, name: String, anew: &Anew, stop: &Arc<AtomicBool>) -> R
     let Begin { config, config_file, shared, state, .. } = begin;
     let memory = GripperMemory::new(state, gripper_address(&config.devices));
     let in_folder = StateOrders::open(state, name.clone(), memory.clone()).map_err(|error| chain(&error))?;
-    let ((desk, at_page), feed, remarks) = (desk(memory), Feed::default(), Remarks::default());
-    let told = fleet(Parts {
+    let ((order_sender, at_page), feed, remarks) =
+        (order_channel(memory), Feed::default(), Remarks::default());
+    let reported = fleet(Parts {
         config,
         config_file,
         shared: shared.clone(),
         state,
         feed: &feed,
-        desk: &desk,
+        order_sender: &order_sender,
         remarks: &remarks,
         anew: anew.clone(),
         stop: stop.clone(),
     })?;
-    let (mut office, mut film) = (None, None);
+    let (mut sign_ins, mut film) = (None, None);
     if let Some(page) = &config.page {
         let config_name = config_file.file_stem().map(|stem| stem.to_string_lossy().into_owned());
         let (config_name, state) = (config_name.unwrap_or_default(), state.clone());
@@ -344,22 +345,22 @@ fn opened(begin: &Begin, name: String, anew: &Anew, stop: &Arc<AtomicBool>) -> R
             config_name,
             state,
             feed: feed.clone(),
-            desk,
+            order_sender,
             film: shown.clone(),
             pictures,
             texts,
         };
-        office = Some(app::start(setup).map_err(|error| chain(&error))?);
+        sign_ins = Some(app::start(setup).map_err(|error| chain(&error))?);
         film = Some(shown);
     }
     let published = feed.clone();
     let keeper = StateKeeper::open(config.clone(), state.clone(), name).map_err(|error| chain(&error))?;
     let publish = move |status: &Status| {
         published.status(status);
-        told(status);
+        reported(status);
     };
     let keeper = keeper.published(Box::new(publish), remarks).sharing(shared.name());
-    let orders = Sources::of(vec![Box::new(in_folder.with_office(office)), Box::new(at_page)]);
+    let orders = Sources::of(vec![Box::new(in_folder.with_sign_ins(sign_ins)), Box::new(at_page)]);
     Ok(Opened { keeper, orders, feed, film })
 }
 

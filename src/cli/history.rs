@@ -319,8 +319,8 @@ mod tests {
     fn a_job_is_found_by_its_id_and_by_its_file_and_what_is_unknown_is_exit_1() {
         let folder = tempfile::tempdir().unwrap();
         let state = with_a_job(folder.path());
-        let ask = |job: &str| why(&WhyArgs { job: job.into(), state: state.clone() }).unwrap();
-        assert_eq!((ask("tidy"), ask("tidy.yaml"), ask("other")), (0, 0, 1));
+        let request = |job: &str| why(&WhyArgs { job: job.into(), state: state.clone() }).unwrap();
+        assert_eq!((request("tidy"), request("tidy.yaml"), request("other")), (0, 0, 1));
         let empty = tempfile::tempdir().unwrap();
         let nothing = WhyArgs { job: "tidy".into(), state: state_of(empty.path()) };
         assert_eq!(why(&nothing).unwrap(), 1);

@@ -10,7 +10,7 @@ use crate::config::load::load_cell;
 use crate::jobs::state::StateFolder;
 use crate::jobs::status::{Remarks, Status};
 use crate::page::feed::Feed;
-use crate::page::orders::Desk;
+use crate::page::orders::OrderSender;
 use cell_edge::terminal::complain;
 use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
@@ -178,7 +178,7 @@ pub fn start_with(config: &Path, _state: &Path) -> Result<(CellConfig, Shared), 
 }
 
 /// Is given each status for the cell's fleet; must not block.
-pub type Told = Box<dyn Fn(&Status) + Send>;
+pub type StatusSink = Box<dyn Fn(&Status) + Send>;
 
 /// What the cell's part in its fleet works with.
 #[cfg_attr(not(feature = "fleet"), expect(dead_code, reason = "a cell that is in no fleet"))]
@@ -194,7 +194,7 @@ pub struct Parts<'a> {
     /// What happens.
     pub feed: &'a Feed,
     /// Where orders go.
-    pub desk: &'a Desk,
+    pub order_sender: &'a OrderSender,
     /// What the status says of the fleet.
     pub remarks: &'a Remarks,
     /// To be started anew.
@@ -208,7 +208,7 @@ pub struct Parts<'a> {
 /// # Errors
 /// As [`crate::fleet::start::start`].
 #[cfg(feature = "fleet")]
-pub fn fleet(parts: Parts) -> Result<Told, String> {
+pub fn fleet(parts: Parts) -> Result<StatusSink, String> {
     use crate::fleet::fragment::Follower;
     let Some(section) = &parts.config.fleet else { return Ok(Box::new(|_| {})) };
     let Shared { runs, fault } = parts.shared;
@@ -217,7 +217,7 @@ pub fn fleet(parts: Parts) -> Result<Told, String> {
         config: parts.config.clone(),
         state: parts.state.clone(),
         feed: parts.feed.clone(),
-        desk: parts.desk.clone(),
+        order_sender: parts.order_sender.clone(),
         remarks: parts.remarks.clone(),
         fragments: Follower::new(parts.config_file, parts.state.root(), runs, fault),
         start_anew: Box::new(move |wanted| anew.propose(wanted)),
@@ -232,7 +232,7 @@ pub fn fleet(parts: Parts) -> Result<Told, String> {
 /// # Errors
 /// The configuration has `fleet:`.
 #[cfg(not(feature = "fleet"))]
-pub fn fleet(parts: Parts) -> Result<Told, String> {
+pub fn fleet(parts: Parts) -> Result<StatusSink, String> {
     match parts.config.fleet {
         None => Ok(Box::new(|_| {})),
         Some(_) => {

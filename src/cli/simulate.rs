@@ -11,7 +11,7 @@ mod hands;
 mod orders;
 mod storms;
 
-use crate::pair::eyes::Eye;
+use crate::pair::camera_view::SightKind;
 use crate::pair::outcome::Phase;
 use crate::pair::page::{self, CaseOutcome, PAGE, PAGE_SEED, expected, title};
 use crate::pair::reactions::Row;
@@ -20,7 +20,7 @@ use crate::pair::sweep::{case, cases, judge};
 use crate::pair::table::stage;
 use crate::pair::{Choice, Pair};
 pub use args::SimulateArgs;
-use args::{EyeArg, keep_trace};
+use args::{SightArg, keep_trace};
 use cell_edge::terminal::{complain, print};
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
@@ -31,8 +31,8 @@ use ur_sim::command::faults_of;
 /// Runs the subcommand; returns the exit code.
 pub fn run(args: &SimulateArgs) -> u8 {
     let eye = match args.eye {
-        EyeArg::Pictures => Eye::Pictures,
-        EyeArg::Corners => Eye::Corners,
+        SightArg::Pictures => SightKind::Pictures,
+        SightArg::Corners => SightKind::Corners,
     };
     if args.orders {
         return orders::run(args);
@@ -82,7 +82,7 @@ pub fn run(args: &SimulateArgs) -> u8 {
         return 0;
     }
     let faults = args.faults.as_ref().map(|path| format!(" --faults {}", path.display())).unwrap_or_default();
-    let eye = if eye == Eye::Pictures { " --eye pictures" } else { "" };
+    let eye = if eye == SightKind::Pictures { " --eye pictures" } else { "" };
     complain(&format!("repeat with: celld simulate --seed {} --jobs {}{faults}{eye}", args.seed, args.jobs));
     1
 }
@@ -118,7 +118,7 @@ fn text(summary: &Summary, pair: &Pair, seconds: f64) -> String {
 fn sweep(args: &SimulateArgs) -> u8 {
     let wanted = |title: &str| args.only.as_ref().is_none_or(|only| title.contains(only.as_str()));
     let chosen: Vec<(&Row, Phase)> = cases().filter(|(row, phase)| wanted(&title(row, *phase))).collect();
-    let stage = match stage(args.seed, Eye::Corners) {
+    let stage = match stage(args.seed, SightKind::Corners) {
         Ok(stage) => stage,
         Err(message) => {
             complain(&message);

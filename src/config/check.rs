@@ -245,7 +245,7 @@ fn check_object(decoder: &mut Decoder, parts: &CellParts, object: &ObjectSpec, a
     check_marker(decoder, object, at, path);
     if object.fixed {
         if object.start.is_none() {
-            let message = format!("{:?} is fixed, but the cell is not told where it stands", object.id);
+            let message = format!("{:?} is fixed, but has no pose", object.id);
             decoder.complain(at, path, message, "add start: [x, y, theta], its surveyed pose in m, m, rad");
         }
         return;

@@ -16,7 +16,7 @@ pub struct FleetConfig {
     pub name: String,
     /// This cell's name in it.
     pub cell: String,
-    /// What jobs may ask for, besides its name.
+    /// What jobs may require, besides its name.
     pub labels: Vec<String>,
     /// `nats://HOST:PORT` or `tls://HOST:PORT`, one or several of a cluster.
     pub servers: Vec<String>,

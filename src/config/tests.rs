@@ -60,7 +60,7 @@ fn the_example_shows_and_comments_every_key() {
 }
 
 #[test]
-fn a_search_by_depth_needs_a_camera_that_is_asked_for_it() {
+fn a_search_by_depth_needs_a_camera_that_is_requested_it() {
     let blind = replace_once(CELL, "8090, depth: true}", "8090}");
     let reported = cell(&blind).unwrap_err().to_string();
     assert!(
@@ -73,7 +73,7 @@ fn a_search_by_depth_needs_a_camera_that_is_asked_for_it() {
     assert!(config.calibration.empty.is_some_and(|folder| folder.ends_with("calibration/sim/empty")));
     let driven_over =
         replace_once(&compared, "foreign: {mode: refuse}", "foreign: {mode: obstacle, margin_m: 0.01}");
-    assert!(cell(&driven_over).is_err(), "colour does not tell how high a thing is");
+    assert!(cell(&driven_over).is_err(), "colour does not show how high a thing is");
     for rule in ["", "foreign: {mode: off}"] {
         assert!(cell(&replace_once(&blind, "foreign: {mode: refuse}", rule)).is_ok(), "{rule}");
     }
@@ -179,7 +179,7 @@ fn parts_that_do_not_fit_are_reported() {
     check("mass: 0.12", "mass: 3", "its cups hold");
     let at_rest = 0.3 * 101_325.0 * std::f64::consts::PI * 0.01 * 0.01 / (4.0 * 9.81);
     check("mass: 0.12", &format!("mass: {at_rest:.3}"), "its cups hold");
-    check("    mass: 0.12\n", "    mass: 0.12\n    fixed: true\n", "is not told where it stands");
+    check("    mass: 0.12\n", "    mass: 0.12\n    fixed: true\n", "has no pose");
     let reported = cell(&replace_once(CELL, "diameter: 0.02", "diameter: 0.06")).unwrap_err().to_string();
     assert!(
         reported.contains("no place on \"plank-1\"") && !reported.contains("no place on \"block\""),

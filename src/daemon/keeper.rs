@@ -432,7 +432,7 @@ impl Keeper for StateKeeper {
                     Err(error) => tracing::error!(job = id, %error, "job could not be cancelled"),
                 },
                 SpoolEvent::Full { name } => tracing::warn!(name, "the queue is full"),
-                SpoolEvent::Trouble { name, message } => tracing::warn!(name, why = message, "job file"),
+                SpoolEvent::Unreadable { name, message } => tracing::warn!(name, why = message, "job file"),
             }
         }
         self.reconcile();

@@ -15,7 +15,7 @@ use crate::daemon::messages::{Displayed, Message};
 use crate::daemon::sockets::{Addresses, Sockets};
 use crate::daemon::store::{Keeper, Store};
 use crate::daemon::watchdog::{Beat, Beats};
-use crate::daemon::workers::{PerceptionSetup, SeeRequest, busy, spawn_eyes, spawn_plan};
+use crate::daemon::workers::{PerceptionSetup, SeeRequest, busy, spawn_perception, spawn_plan};
 use cell_calibration::visit::{Samples, Stop};
 use cell_edge::clock::Clock;
 use cell_machine::device::robot_types::RobotState;
@@ -144,7 +144,7 @@ pub struct Shell {
     sockets: Sockets,
     messages: mpsc::Receiver<Message>,
     messages_in: mpsc::Sender<Message>,
-    eyes: Option<SyncSender<(u64, SeeRequest)>>,
+    perception: Option<SyncSender<(u64, SeeRequest)>>,
     /// Ends the planning run under way.
     planning: Option<Arc<AtomicBool>>,
     store: Option<Store>,
@@ -193,7 +193,7 @@ impl Shell {
             clock,
             messages,
             messages_in,
-            eyes: None,
+            perception: None,
             planning: None,
             store: None,
             outcome: Outcome::default(),
@@ -259,9 +259,10 @@ impl Shell {
     }
 
     /// From now on this is what the cell sees with.
-    pub fn see_with(&mut self, eyes: PerceptionSetup) {
+    pub fn see_with(&mut self, perception: PerceptionSetup) {
         let beat = self.beats.task("the camera", SEES_WITHIN);
-        self.eyes = Some(spawn_eyes(eyes, self.clock.clone(), self.messages_in.clone(), beat));
+        self.perception =
+            Some(spawn_perception(perception, self.clock.clone(), self.messages_in.clone(), beat));
     }
 
     /// From now on jobs and orders come from here, and what is done is written here.
@@ -480,8 +481,8 @@ impl Shell {
     }
 
     fn see(&mut self, now: Timestamp, number: u64, request: SeeRequest, observer: &mut dyn Observer) {
-        let refused = match &self.eyes {
-            Some(eyes) => eyes.try_send((number, request)).err().map(|error| match error {
+        let refused = match &self.perception {
+            Some(perception) => perception.try_send((number, request)).err().map(|error| match error {
                 TrySendError::Full((_, request)) | TrySendError::Disconnected((_, request)) => request,
             }),
             None => Some(request),

@@ -17,7 +17,7 @@ use std::collections::VecDeque;
 const UNANSWERED_MAX: usize = 64;
 
 /// Who signs people in at the page.
-pub trait Office: Send {
+pub trait SignInHandler: Send {
     /// A link or a token for a person whom the system knows by this number. Its message is a secret.
     fn sign_in(&self, wanted: &SignIn, uid: Option<u32>) -> Reply;
 
@@ -31,7 +31,7 @@ pub struct StateOrders {
     memory: GripperMemory,
     last: u32,
     unanswered: VecDeque<(u32, Taken)>,
-    office: Option<Box<dyn Office>>,
+    sign_ins: Option<Box<dyn SignInHandler>>,
 }
 
 impl StateOrders {
@@ -46,29 +46,29 @@ impl StateOrders {
         memory: GripperMemory,
     ) -> Result<StateOrders, KeeperError> {
         let inbox = Inbox::open(&state.commands(), daemon)?;
-        Ok(StateOrders { inbox, memory, last: 0, unanswered: VecDeque::new(), office: None })
+        Ok(StateOrders { inbox, memory, last: 0, unanswered: VecDeque::new(), sign_ins: None })
     }
 
     /// With a page at which people can be signed in.
-    pub fn with_office(self, office: Option<Box<dyn Office>>) -> StateOrders {
-        StateOrders { office, ..self }
+    pub fn with_sign_ins(self, sign_ins: Option<Box<dyn SignInHandler>>) -> StateOrders {
+        StateOrders { sign_ins, ..self }
     }
 
     /// Answers who wants to sign in or out, if that is what is wanted; the answer may be a secret and is not
     /// logged.
-    fn for_the_office(&self, taken: &Taken) -> bool {
+    fn answer_sign_in(&self, taken: &Taken) -> bool {
         let uid = taken.uid;
-        let reply = match (&self.office, &taken.command) {
+        let reply = match (&self.sign_ins, &taken.command) {
             (None, Command::SignIn(_) | Command::SignOut { .. }) => {
                 Reply::refuse("this celld serves no page: its configuration has no `page:`")
             }
-            (Some(office), Command::SignIn(wanted)) => {
-                let (reply, role) = (office.sign_in(wanted, uid), wanted.role);
+            (Some(sign_ins), Command::SignIn(wanted)) => {
+                let (reply, role) = (sign_ins.sign_in(wanted, uid), wanted.role);
                 tracing::info!(accepted = reply.accepted, uid, %role, "sign-in at the page requested");
                 reply
             }
-            (Some(office), Command::SignOut { name }) => {
-                let reply = office.sign_out(name);
+            (Some(sign_ins), Command::SignOut { name }) => {
+                let reply = sign_ins.sign_out(name);
                 tracing::info!(accepted = reply.accepted, uid, name, "sign-out at the page requested");
                 reply
             }
@@ -97,7 +97,7 @@ impl Orders for StateOrders {
         });
         let mut orders = Vec::with_capacity(taken.len());
         for taken in taken {
-            if self.for_the_office(&taken) {
+            if self.answer_sign_in(&taken) {
                 continue;
             }
             let Some(order) = taken.command.order() else { continue };

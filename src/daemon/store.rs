@@ -86,7 +86,7 @@ impl Store {
         beats: &Beats,
     ) -> Store {
         let Sources { orders: sources, stops } = sources;
-        let (requests, asked) = channel();
+        let (requests, requested) = channel();
         let (replies, answers) = Answers::of(sources.len());
         let ending = Arc::new(AtomicBool::new(false));
         let mut threads = Vec::new();
@@ -101,7 +101,7 @@ impl Store {
         }
         let beat = Arc::new(beats.task("the journal", SILENT_AFTER));
         let keeping = Keeping { keeper, clock, events, answers: replies.clone(), beat: beat.clone() };
-        threads.push((beat, std::thread::spawn(move || keeping.run(&asked))));
+        threads.push((beat, std::thread::spawn(move || keeping.run(&requested))));
         Store { requests: Some(requests), replies, threads, ending, lost: false }
     }
 
@@ -170,7 +170,7 @@ struct Keeping {
 
 impl Keeping {
     /// Until no requester is left; what is left is written first.
-    fn run(mut self, asked: &Receiver<Request>) {
+    fn run(mut self, requested: &Receiver<Request>) {
         let (mut wanted, mut status, mut last) = (false, None, None::<Status>);
         let (mut looked, mut published) = (Instant::now(), Instant::now());
         loop {
@@ -180,7 +180,7 @@ impl Keeping {
             let more = self.keeper.has_more();
             let at_once = status.is_some() || more;
             let patience = if at_once { std::time::Duration::ZERO } else { every };
-            match asked.recv_timeout(patience) {
+            match requested.recv_timeout(patience) {
                 Ok(Request::Commit(number, record)) => {
                     let result = self.keeper.commit(&record);
                     self.send_event(Event::Committed(number, result));

@@ -81,8 +81,8 @@ pub enum Sight {
 }
 
 /// Starts the thread that owns the camera.
-pub fn spawn_eyes(
-    eyes: PerceptionSetup,
+pub fn spawn_perception(
+    setup: PerceptionSetup,
     clock: Clock,
     messages: mpsc::Sender<Message>,
     beat: Beat,
@@ -90,7 +90,7 @@ pub fn spawn_eyes(
     let (requests_in, requests) = sync_channel(4);
     std::thread::spawn(move || {
         priority::lower();
-        let mut seeing = Seeing { eyes, clock, messages, shots: Vec::new() };
+        let mut seeing = Seeing { setup, clock, messages, shots: Vec::new() };
         let mut next_glimpse = Instant::now();
         loop {
             match requests.recv_timeout(next_glimpse.saturating_duration_since(Instant::now())) {
@@ -135,7 +135,7 @@ pub fn busy(number: u64, request: &SeeRequest) -> Event {
 }
 
 struct Seeing {
-    eyes: PerceptionSetup,
+    setup: PerceptionSetup,
     clock: Clock,
     messages: mpsc::Sender<Message>,
     shots: Vec<Shot>,
@@ -170,11 +170,11 @@ impl Seeing {
     /// A picture for viewers, if there are any; when the next one is due, given when this one was.
     fn glimpse(&mut self, due: Instant) -> Instant {
         let now = Instant::now();
-        let Some(film) = self.eyes.film.as_ref().filter(|film| film.wants_a_picture()) else {
+        let Some(film) = self.setup.film.as_ref().filter(|film| film.wants_a_picture()) else {
             return now + film::EVERY;
         };
-        self.eyes.camera.want_depth(false);
-        match self.eyes.camera.glimpse() {
+        self.setup.camera.want_depth(false);
+        match self.setup.camera.glimpse() {
             Ok(frame) => film.picture(frame.image),
             Err(error) => {
                 tracing::debug!("no picture for viewers: {}", chain(&error));
@@ -192,7 +192,7 @@ impl Seeing {
         table_from_camera: Isometry3<f64>,
     ) -> Result<Vec<View>, CameraFault> {
         let PerceptionSetup { camera, sight: Sight::Cell(perception), diagnostic_images, .. } =
-            &mut self.eyes
+            &mut self.setup
         else {
             return Err(no_perception());
         };
@@ -214,7 +214,8 @@ impl Seeing {
         partial: Option<&PartialLook>,
         held: Option<&HeldBody>,
     ) -> Result<Observation, String> {
-        let PerceptionSetup { sight: Sight::Cell(perception), diagnostic_images, .. } = &mut self.eyes else {
+        let PerceptionSetup { sight: Sight::Cell(perception), diagnostic_images, .. } = &mut self.setup
+        else {
             return Err(no_perception().message);
         };
         let seen = perception.observe_holding(views, partial, held).map_err(|error| chain(&error));
@@ -235,7 +236,7 @@ impl Seeing {
     }
 
     fn picture(&mut self, pose: usize, base_from_flange: Isometry3<f64>) -> Result<(), CameraFault> {
-        let PerceptionSetup { camera, sight, .. } = &mut self.eyes;
+        let PerceptionSetup { camera, sight, .. } = &mut self.setup;
         camera.want_depth(false);
         let frame = camera.grab().map_err(|error| fault_of(&error))?;
         let found = match sight {

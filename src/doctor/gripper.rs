@@ -29,7 +29,7 @@ pub struct GripperFacts {
 pub enum Confirmed {
     /// A person has said so, for this address.
     ByPerson,
-    /// The cell is simulated, and no person is asked.
+    /// The cell is simulated, and no person has to confirm.
     Simulation,
 }
 

@@ -87,7 +87,7 @@ fn arming_line(robot: &RobotFacts, gripper: &GripperFacts) -> Line {
         state
     });
     let down = robot.link_down();
-    let outside = DeviceSnapshot {
+    let devices = DeviceSnapshot {
         link_down: down,
         link_lost: down,
         all_links_lost: false,
@@ -99,5 +99,5 @@ fn arming_line(robot: &RobotFacts, gripper: &GripperFacts) -> Line {
         gripper_answers: gripper.vacuum.is_ok(),
         vacuum: gripper.vacuum.clone().ok(),
     };
-    arming(gates::arming(&outside), gripper.confirmed.is_some())
+    arming(gates::arming(&devices), gripper.confirmed.is_some())
 }

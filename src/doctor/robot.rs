@@ -302,7 +302,7 @@ fn kinematics_line(primary: &PrimaryFacts) -> Line {
     let found = format!("calibrated {} (checksum {})", model.name, primary.checksum);
     if *dh == model.dh {
         let hint = "fine for a simulated arm; a real one whose calibration is missing misses by millimetres: \
-                    ask the vendor for its calibration file";
+                    request its calibration file from the vendor";
         return note("kinematics", format!("those of a nominal {}", model.name), hint);
     }
     ok("kinematics", found)

@@ -139,7 +139,7 @@ mod tests {
     use std::io::{Read, Write};
     use std::net::TcpStream;
 
-    fn ask(page: &FleetPage, path: &str, host: &str, key: &str) -> String {
+    fn request(page: &FleetPage, path: &str, host: &str, key: &str) -> String {
         let mut stream = TcpStream::connect(page.0.config.listen).unwrap();
         let port = page.0.config.listen.port();
         let host = host.replace("PORT", &port.to_string());
@@ -158,23 +158,23 @@ mod tests {
         let link = page.link();
         let key = link.rsplit('=').next().unwrap();
         let host = "127.0.0.1:PORT";
-        assert!(ask(&page, "/api/v1/fleet", host, key).starts_with("HTTP/1.1 503"));
+        assert!(request(&page, "/api/v1/fleet", host, key).starts_with("HTTP/1.1 503"));
         page.show(&Board::default().view("plant", 5.0, true));
-        let answer = ask(&page, "/api/v1/fleet", host, key);
+        let answer = request(&page, "/api/v1/fleet", host, key);
         assert!(answer.starts_with("HTTP/1.1 200") && answer.contains(r#""fleet":"plant""#), "{answer}");
         for wrong in ["", "0", &key[1..]] {
-            let answer = ask(&page, "/api/v1/fleet", host, wrong);
+            let answer = request(&page, "/api/v1/fleet", host, wrong);
             assert!(answer.starts_with("HTTP/1.1 401") && !answer.contains("plant"), "{wrong}: {answer}");
         }
-        assert!(ask(&page, "/api/v1/fleet", "evil.example:PORT", key).starts_with("HTTP/1.1 421"));
+        assert!(request(&page, "/api/v1/fleet", "evil.example:PORT", key).starts_with("HTTP/1.1 421"));
         for (path, wanted) in [("/", "celld fleet"), ("/fleet.js", "drawCell"), ("/page.css", "--ground")] {
-            let answer = ask(&page, path, host, "");
+            let answer = request(&page, path, host, "");
             assert!(
                 answer.contains(wanted) && answer.contains("content-security-policy"),
                 "{path}: {answer}"
             );
         }
-        assert!(ask(&page, "/nothing", host, "").starts_with("HTTP/1.1 404"));
+        assert!(request(&page, "/nothing", host, "").starts_with("HTTP/1.1 404"));
     }
 
     #[test]

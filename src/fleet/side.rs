@@ -1,14 +1,14 @@
 //! The cell as its part in the fleet sees it, through what exists: status, journal, spool, orders.
 //!
 //! In: each status as it is written, the feed of sights and trends, the journal, read as any other process
-//! reads it. Out: state and events for the fleet; jobs in `incoming`; orders by the page's desk. Reading a
-//! job, and whether the arm reaches its goals, are computed here, on the fleet's own thread.
+//! reads it. Out: state and events for the fleet; jobs in `incoming`; orders by the page's channel. Reading
+//! a job, and whether the arm reaches its goals, are computed here, on the fleet's own thread.
 
 use crate::config::cell::CellConfig;
 use crate::daemon::job_orders::{found_by, job_context};
 use crate::fleet::files::files_of;
 use crate::fleet::fragment::{Follower, Next};
-use crate::fleet::told::{decided, events, local, rejected, state_of};
+use crate::fleet::reported::{decided, events, local, rejected, state_of};
 use crate::jobs::goal::read_goal_file;
 use crate::jobs::job_file::read_job;
 use crate::jobs::journal::Journal;
@@ -17,13 +17,13 @@ use crate::jobs::state::StateFolder;
 use crate::jobs::status::{Remarks, Status};
 use crate::jobs::submit::{Handed, hand_in, prepare, stem};
 use crate::page::feed::{Feed, Sight};
-use crate::page::orders::Desk;
+use crate::page::orders::OrderSender;
 use cell_edge::clock::unix_now_s;
 use cell_fleet::files::FileKind;
 use cell_fleet::fragments::Wanted;
 use cell_fleet::payloads::{CellState, Job, What};
-use cell_fleet::side::{CellEvent, CellSide, FilesAsked, FragmentState, Ordered};
-use cell_fleet::subjects::Asked;
+use cell_fleet::side::{CellEvent, CellSide, FilesRequested, FragmentState, Ordered};
+use cell_fleet::subjects::RequestKind;
 use cell_fleet::values::Local;
 use cell_machine::orders::{Order, Reply};
 use cell_motion::reach::reaches;
@@ -47,7 +47,7 @@ pub struct Daemon {
     /// What happens.
     pub feed: Feed,
     /// Where orders go.
-    pub desk: Desk,
+    pub order_sender: OrderSender,
     /// What the status says of the fleet.
     pub remarks: Remarks,
     /// The shared part of the configuration.
@@ -63,11 +63,11 @@ pub struct Side {
     daemon: Daemon,
     statuses: Receiver<Written>,
     last: Status,
-    /// When the sight that was told last was made.
+    /// When the sight that was reported last was made.
     seen_unix_s: f64,
     /// Files that were put into `incoming`, by job.
     handed: BTreeMap<String, Handed>,
-    /// Jobs that were decided about from afar: told already.
+    /// Jobs that were decided about from afar: reported already.
     decided_afar: BTreeSet<String>,
     pending: Vec<CellEvent>,
 }
@@ -156,13 +156,13 @@ fn waiting_file(state: &StateFolder, job: &Job) -> Option<String> {
     names.filter_map(|entry| entry.file_name().into_string().ok()).find(|name| name.ends_with(&end))
 }
 
-/// The order that a request is; asking for files is none.
-fn order_of(asked: Asked, job: &str, plan: Option<u64>) -> Option<Order> {
-    match asked {
-        Asked::Approve => Some(Order::Approve { id: job.to_string(), plan }),
-        Asked::Reject => Some(Order::Reject(job.to_string())),
-        Asked::Cancel => Some(Order::Cancel(job.to_string())),
-        Asked::Send => None,
+/// The order that a request is; one for files is none.
+fn order_of(requested: RequestKind, job: &str, plan: Option<u64>) -> Option<Order> {
+    match requested {
+        RequestKind::Approve => Some(Order::Approve { id: job.to_string(), plan }),
+        RequestKind::Reject => Some(Order::Reject(job.to_string())),
+        RequestKind::Cancel => Some(Order::Cancel(job.to_string())),
+        RequestKind::Send => None,
     }
 }
 
@@ -225,30 +225,30 @@ impl CellSide for Side {
         Ok(if waits { Local::Open } else { Local::Unknown })
     }
 
-    fn order(&mut self, asked: Asked, job: &str, plan: Option<u64>, by: &str) -> Ordered {
+    fn order(&mut self, requested: RequestKind, job: &str, plan: Option<u64>, by: &str) -> Ordered {
         let (answer, answered) = oneshot::channel();
         // No page may give it, whatever comes: what sets the arm in motion needs eyes on the cell.
-        let Some(order) = order_of(asked, job, plan).filter(|order| !order.needs_sight()) else {
+        let Some(order) = order_of(requested, job, plan).filter(|order| !order.needs_sight()) else {
             return answered;
         };
-        let (desk, by) = (self.daemon.desk.clone(), format!("{by}, over the fleet"));
-        if asked != Asked::Cancel {
+        let (order_sender, by) = (self.daemon.order_sender.clone(), format!("{by}, over the fleet"));
+        if requested != RequestKind::Cancel {
             self.decided_afar.insert(job.to_string());
         }
         tokio::spawn(async move {
-            let Reply { accepted, message } = desk.order(order, by).await;
-            // Who asked may have gone.
+            let Reply { accepted, message } = order_sender.order(order, by).await;
+            // Who requested it may have gone.
             let _ = answer.send((accepted, message));
         });
         answered
     }
 
-    fn files(&mut self, job: &str, kinds: &[FileKind]) -> FilesAsked {
+    fn files(&mut self, job: &str, kinds: &[FileKind]) -> FilesRequested {
         let (answer, answered) = oneshot::channel();
         let (config, state) = (self.daemon.config.clone(), self.daemon.state.clone());
         let (job, kinds) = (job.to_string(), kinds.to_vec());
         tokio::task::spawn_blocking(move || {
-            // Who asked may have gone.
+            // Who requested it may have gone.
             let _ = answer.send(files_of(&config, &state, &job, &kinds));
         });
         answered

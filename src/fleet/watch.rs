@@ -23,7 +23,7 @@ const WITHIN: Duration = Duration::from_secs(3);
 
 /// Follows a fleet until `each` breaks.
 pub async fn watch(client: &Client, fleet: &str, mut each: impl FnMut(FleetView) -> ControlFlow<()>) {
-    let mut watch = Watch { board: Board::default(), fleet: fleet.to_string(), ahead_s: 0.0 };
+    let mut watch = FleetFollower { board: Board::default(), fleet: fleet.to_string(), ahead_s: 0.0 };
     loop {
         match timeout(WITHIN, client.changes(LAST_EVENTS)).await {
             Ok(Ok(changes)) => {
@@ -40,14 +40,14 @@ pub async fn watch(client: &Client, fleet: &str, mut each: impl FnMut(FleetView)
     }
 }
 
-struct Watch {
+struct FleetFollower {
     board: Board,
     fleet: String,
     /// How far the server's clock is ahead of ours.
     ahead_s: f64,
 }
 
-impl Watch {
+impl FleetFollower {
     fn view(&self, connected: bool) -> FleetView {
         self.board.view(&self.fleet, unix_now_s() + self.ahead_s, connected)
     }
@@ -69,7 +69,7 @@ impl Watch {
                     Some(change) => self.board.take(change),
                 },
                 _ = ticks.tick() => {
-                    if !self.ask(client).await {
+                    if !self.request(client).await {
                         return ControlFlow::Continue(());
                     }
                     each(self.view(true))?;
@@ -78,10 +78,10 @@ impl Watch {
         }
     }
 
-    /// What is not followed but asked for: the time and the queue. False without an answer.
-    async fn ask(&mut self, client: &Client) -> bool {
-        let asked = timeout(WITHIN, async { (client.server_unix_s().await, client.queued().await) });
-        let Ok((Ok(server_unix_s), Ok(queued))) = asked.await else { return false };
+    /// What is not followed but requested: the time and the queue. False without an answer.
+    async fn request(&mut self, client: &Client) -> bool {
+        let requested = timeout(WITHIN, async { (client.server_unix_s().await, client.queued().await) });
+        let Ok((Ok(server_unix_s), Ok(queued))) = requested.await else { return false };
         self.ahead_s = server_unix_s - unix_now_s();
         self.board.queue(queued);
         true

@@ -315,10 +315,10 @@ impl Sent {
 
 /// An answer may be a secret (`celld open`): it is for whoever gave the command, and another user than the
 /// daemon's reads it by the group that both are in.
-fn answer(path: &Path, asked_by: Option<u32>, accepted: bool, message: &str) -> Result<(), FileError> {
+fn answer(path: &Path, requested_by: Option<u32>, accepted: bool, message: &str) -> Result<(), FileError> {
     let reply = Reply { accepted, message: message.to_owned() };
     let text = serde_json::to_string(&reply).expect("replies have string keys only");
-    let own = asked_by == Some(rustix::process::geteuid().as_raw());
+    let own = requested_by == Some(rustix::process::geteuid().as_raw());
     write_secret(path, text.as_bytes(), !own)
 }
 

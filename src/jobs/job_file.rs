@@ -145,7 +145,7 @@ fn refusal(text: &str, name: &str, complaints: &Diagnostics) -> Refusal {
     let hint = if incomplete {
         "the file ends in the middle; was it still being copied? copy it again, or use `celld submit`"
     } else {
-        "correct what the complaints name and submit the file again; `celld check` tells the same beforehand"
+        "correct what the complaints name and submit the file again; `celld check` reports the same beforehand"
     };
     let mut refusal = Refusal::new(if syntax { Code::Syntax } else { Code::Invalid }, message, hint);
     refusal.incomplete = incomplete;

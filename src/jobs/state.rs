@@ -35,7 +35,7 @@ struct Confirmed {
 pub enum StateError {
     /// Another daemon works on it.
     #[error(
-        "another celld runs on the state folder {path}; `celld status --state {path}` asks it, or give this \
+        "another celld runs on the state folder {path}; `celld status --state {path}` shows its state, or give this \
          one a folder of its own"
     )]
     Taken {

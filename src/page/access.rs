@@ -42,7 +42,7 @@ struct Kept {
     grant: Grant,
 }
 
-/// Someone who is signed in.
+/// A person who is signed in.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Person {
     /// What the person may do.

@@ -1,9 +1,9 @@
 //! How the daemon puts the page together.
 //!
 //! In: configuration, state folder, the feed. Out: a page that is served, the observer for the loop, the
-//! office that signs people in, orders joined with those of the state folder.
+//! handler that signs people in, orders joined with those of the state folder.
 
-use crate::daemon::state_orders::Office;
+use crate::daemon::state_orders::SignInHandler;
 use crate::jobs::command::SignIn;
 use crate::page::access::{Grant, SESSION_S, plain_name};
 use crate::page::film;
@@ -18,11 +18,11 @@ use std::sync::Arc;
 /// Days that a token may last at most.
 const TOKEN_DAYS_MAX: u32 = 366;
 
-/// Opens the address and serves the page from now on; the office signs people in.
+/// Opens the address and serves the page from now on; what is returned signs people in.
 ///
 /// # Errors
 /// The address, certificate or key cannot be used.
-pub fn start(setup: Setup) -> Result<Box<dyn Office>, ServeError> {
+pub fn start(setup: Setup) -> Result<Box<dyn SignInHandler>, ServeError> {
     let listening = Listening::open(setup.page)?;
     let mut config = setup.page.clone();
     config.listen = listening.address().unwrap_or(config.listen);
@@ -32,14 +32,14 @@ pub fn start(setup: Setup) -> Result<Box<dyn Office>, ServeError> {
     let projector = app.clone();
     let project = move || film::project(&projector, &pictures);
     std::thread::Builder::new().name("film".into()).spawn(project).map_err(ServeError::Thread)?;
-    let office = SignsIn(app.clone());
+    let sign_ins = SignsIn(app.clone());
     listening.serve(move || routes::router(app))?;
-    Ok(Box::new(office))
+    Ok(Box::new(sign_ins))
 }
 
 struct SignsIn(App);
 
-impl Office for SignsIn {
+impl SignInHandler for SignsIn {
     fn sign_in(&self, wanted: &SignIn, uid: Option<u32>) -> Reply {
         let name = wanted.name.as_deref().map_or_else(|| user_name(uid), str::to_string);
         let Some(name) = plain_name(&name) else { return Reply::refuse("a name has letters") };

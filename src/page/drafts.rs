@@ -23,7 +23,7 @@ const DIRECTIONS: usize = 32;
 
 /// What is wrong with a draft.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Trouble {
+pub struct GoalFault {
     /// Which objects: one, or two that are in each other's way.
     pub objects: Vec<String>,
     /// `unknown`, `twice`, `fixed`, `overlap`, `near`, `edge`, `keep_out`.
@@ -37,11 +37,11 @@ fn mm(metres: f64) -> String {
 }
 
 /// Everything that is wrong with these goals.
-pub fn troubles(config: &CellConfig, goals: &[GoalPose]) -> Vec<Trouble> {
+pub fn goal_faults(config: &CellConfig, goals: &[GoalPose]) -> Vec<GoalFault> {
     let mut found = Vec::new();
     let mut known: Vec<Wanted> = Vec::new();
     for (index, goal) in goals.iter().enumerate() {
-        let one = |kind, message| Trouble { objects: vec![goal.id.clone()], kind, message };
+        let one = |kind, message| GoalFault { objects: vec![goal.id.clone()], kind, message };
         if goals[..index].iter().any(|other| other.id == goal.id) {
             found.push(one("twice", format!("{} has two goals", goal.id)));
             continue;
@@ -72,9 +72,9 @@ struct Wanted<'a> {
 }
 
 /// Over the edge, or in a place that stays free.
-fn of_the_table(config: &CellConfig, object: &ObjectSpec, placed: &Placed, pose: &Pose2) -> Vec<Trouble> {
+fn of_the_table(config: &CellConfig, object: &ObjectSpec, placed: &Placed, pose: &Pose2) -> Vec<GoalFault> {
     let tolerance = CellConfig::goal_overlap_tolerance_m().max(TOUCH_M);
-    let one = |kind, message| Trouble { objects: vec![object.id.clone()], kind, message };
+    let one = |kind, message| GoalFault { objects: vec![object.id.clone()], kind, message };
     let mut found = Vec::new();
     let beyond = overhang(&object.footprint, pose, config.workspace.width_m, config.workspace.height_m);
     if beyond > tolerance {
@@ -90,17 +90,17 @@ fn of_the_table(config: &CellConfig, object: &ObjectSpec, placed: &Placed, pose:
     found
 }
 
-fn of_two(config: &CellConfig, (a, at): (&str, &Placed), (b, there): (&str, &Placed)) -> Option<Trouble> {
+fn of_two(config: &CellConfig, (a, at): (&str, &Placed), (b, there): (&str, &Placed)) -> Option<GoalFault> {
     let objects = vec![a.to_string(), b.to_string()];
     let depth = at.penetration(there);
     if depth > CellConfig::goal_overlap_tolerance_m().max(TOUCH_M) {
         let message = format!("{a} and {b} overlap by {}", mm(depth));
-        return Some(Trouble { objects, kind: "overlap", message });
+        return Some(GoalFault { objects, kind: "overlap", message });
     }
     let clearance = config.workspace.clearance_m;
     if clearance > 0.0 && at.closer_than(there, clearance - TOUCH_M) {
         let message = format!("{a} and {b} are nearer than the clearance of {}", mm(clearance));
-        return Some(Trouble { objects, kind: "near", message });
+        return Some(GoalFault { objects, kind: "near", message });
     }
     None
 }
@@ -151,7 +151,7 @@ mod tests {
     }
 
     fn kinds(goals: &[GoalPose]) -> Vec<&'static str> {
-        troubles(&cell(), goals).iter().map(|trouble| trouble.kind).collect()
+        goal_faults(&cell(), goals).iter().map(|fault| fault.kind).collect()
     }
 
     #[test]
@@ -181,7 +181,7 @@ mod tests {
                 .map(|g| format!("  - {{id: {}, pose: [{}, {}, 0]}}\n", g.id, g.pose.x, g.pose.y))
                 .collect();
             let file = parse_goal_file(&format!("objects:\n{lines}"), "goal.yaml", Some(&context));
-            let strict = troubles(&cell, &goals).iter().any(|trouble| trouble.kind != "near");
+            let strict = goal_faults(&cell, &goals).iter().any(|fault| fault.kind != "near");
             assert_eq!(file.is_err(), strict, "block at {x}: {file:?}");
         }
     }
@@ -192,7 +192,7 @@ mod tests {
         let goals = [goal("lid", 0.25, 0.25), goal("block", 0.3, 0.25)];
         let settled = settled(&cell, &goals, "block").unwrap();
         let moved = [goals[0].clone(), GoalPose { id: "block".into(), pose: settled }];
-        assert_eq!(troubles(&cell, &moved), []);
+        assert_eq!(goal_faults(&cell, &moved), []);
         assert!(settled.x > 0.3 && settled.distance(&goals[1].pose) < 0.05, "{settled:?}");
         let free = [goal("lid", 0.25, 0.25), goal("block", 0.1, 0.1)];
         assert_eq!(super::settled(&cell, &free, "block"), Some(free[1].pose), "where it is free it stays");

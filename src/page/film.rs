@@ -26,7 +26,7 @@ use tokio::sync::watch;
 /// Who watch at a time.
 const VIEWERS: usize = 30;
 
-/// How often it is asked whether a viewer is still signed in.
+/// How often it is checked whether a viewer is still signed in.
 const SIGNED_IN_EVERY: Duration = Duration::from_millis(200);
 
 /// Encodes what arrives, and looks at it for who calibrates, on a thread of its own; ends with the camera's
@@ -53,7 +53,7 @@ struct Viewer {
     app: App,
     secret: String,
     parts: watch::Receiver<Part>,
-    asked: Instant,
+    requested: Instant,
     _watching: Watching,
     begun: bool,
 }
@@ -65,9 +65,9 @@ impl Viewer {
         }
         loop {
             // Who is not signed in any more watches no longer, also where no picture comes.
-            if self.asked.elapsed() >= SIGNED_IN_EVERY {
+            if self.requested.elapsed() >= SIGNED_IN_EVERY {
                 self.app.access().person(&self.secret, unix_now_s())?;
-                self.asked = Instant::now();
+                self.requested = Instant::now();
             }
             match tokio::time::timeout(SIGNED_IN_EVERY, self.parts.changed()).await {
                 Ok(Ok(())) => {}
@@ -89,7 +89,7 @@ pub async fn film(State(app): State<App>, headers: HeaderMap) -> Response {
     }
     let secret = secret(&app, &headers).map(|(secret, _)| secret).unwrap_or_default();
     let (watching, parts) = (app.film.watch(), app.screen.parts());
-    let viewer = Viewer { app, secret, parts, asked: Instant::now(), _watching: watching, begun: false };
+    let viewer = Viewer { app, secret, parts, requested: Instant::now(), _watching: watching, begun: false };
     let body = Body::from_stream(stream::unfold(viewer, Viewer::next));
     ([(CONTENT_TYPE, format!("multipart/x-mixed-replace; boundary={BOUNDARY}"))], body).into_response()
 }

@@ -151,8 +151,8 @@ mod tests {
         }
         assert!(!limits.request(stranger, start) && limits.request(operator, start));
         assert!(limits.request(stranger, start + Duration::from_secs(3)), "later again");
-        let asked = (0..1000).filter(|_| limits.request(operator, start)).count();
-        assert!(asked < 250, "{asked}");
+        let requested = (0..1000).filter(|_| limits.request(operator, start)).count();
+        assert!(requested < 250, "{requested}");
         for last in 0..3000_u32 {
             limits.request(&last.to_string(), start);
         }

@@ -30,9 +30,9 @@ struct Given {
 
 /// The page's end.
 #[derive(Clone)]
-pub struct Desk(SyncSender<Given>);
+pub struct OrderSender(SyncSender<Given>);
 
-impl Desk {
+impl OrderSender {
     /// Gives an order and waits for the answer.
     pub async fn order(&self, order: Order, by: String) -> Reply {
         let (answer, answered) = oneshot::channel();
@@ -60,11 +60,11 @@ pub struct PageOrders {
     unanswered: Vec<(u32, Given)>,
 }
 
-/// The page's desk, and the end at which its orders arrive; `memory`: where a confirmed gripper is
-/// remembered.
-pub fn desk(memory: GripperMemory) -> (Desk, PageOrders) {
+/// Where the page gives its orders, and the end at which its orders arrive; `memory`: where a confirmed
+/// gripper is remembered.
+pub fn order_channel(memory: GripperMemory) -> (OrderSender, PageOrders) {
     let (sender, page) = sync_channel(QUEUE);
-    (Desk(sender), PageOrders { page, memory, last: 0, unanswered: Vec::new() })
+    (OrderSender(sender), PageOrders { page, memory, last: 0, unanswered: Vec::new() })
 }
 
 impl Orders for PageOrders {
@@ -126,11 +126,11 @@ mod tests {
     use super::*;
     use crate::jobs::state::StateFolder;
 
-    fn page() -> (tempfile::TempDir, Desk, PageOrders) {
+    fn page() -> (tempfile::TempDir, OrderSender, PageOrders) {
         let folder = tempfile::tempdir().unwrap();
         let memory = GripperMemory::new(&StateFolder::new(folder.path()), "gripper:502".into());
-        let (desk, orders) = desk(memory);
-        (folder, desk, orders)
+        let (order_sender, orders) = order_channel(memory);
+        (folder, order_sender, orders)
     }
 
     async fn taken(orders: &mut PageOrders) -> intake::Given {
@@ -144,31 +144,32 @@ mod tests {
 
     #[tokio::test]
     async fn an_answer_comes_back_and_a_confirmed_gripper_is_remembered_before() {
-        let (folder, desk, mut orders) = page();
-        let asked = {
-            let desk = desk.clone();
-            tokio::spawn(async move { desk.order(Order::Pause, "anna".into()).await })
+        let (folder, order_sender, mut orders) = page();
+        let requested = {
+            let order_sender = order_sender.clone();
+            tokio::spawn(async move { order_sender.order(Order::Pause, "anna".into()).await })
         };
         let given = taken(&mut orders).await;
         assert_eq!((given.number, given.order), (1, Order::Pause));
         orders.reply(1, &Reply::accept("paused"));
-        assert_eq!(asked.await.unwrap(), Reply::accept("paused"));
+        assert_eq!(requested.await.unwrap(), Reply::accept("paused"));
 
-        let asked = tokio::spawn(async move { desk.order(Order::ConfirmGripper, "anna".into()).await });
+        let requested =
+            tokio::spawn(async move { order_sender.order(Order::ConfirmGripper, "anna".into()).await });
         let given = taken(&mut orders).await;
         orders.reply(given.number, &Reply::accept("confirmed"));
-        assert_eq!(asked.await.unwrap(), Reply::accept("confirmed"));
+        assert_eq!(requested.await.unwrap(), Reply::accept("confirmed"));
         assert!(StateFolder::new(folder.path()).gripper_confirmed("gripper:502"), "read back from the disk");
     }
 
     #[tokio::test]
     async fn an_order_that_lay_too_long_moves_nothing_and_a_stop_stops() {
-        let (_folder, desk, mut orders) = page();
+        let (_folder, order_sender, mut orders) = page();
         let old = boot_now_s() - 60.0;
         let mut answers = Vec::new();
         for order in [Order::Arm, Order::Abort] {
             let (answer, answered) = oneshot::channel();
-            desk.0.try_send(Given { order, by: "anna".into(), boot_s: old, answer }).unwrap();
+            order_sender.0.try_send(Given { order, by: "anna".into(), boot_s: old, answer }).unwrap();
             answers.push(answered);
         }
         assert_eq!(orders.take().into_iter().map(|given| given.order).collect::<Vec<_>>(), [Order::Abort]);
@@ -177,7 +178,7 @@ mod tests {
         drop(orders);
         let open = answers.remove(0).await.unwrap();
         assert!(!open.accepted && open.message.contains("not known"), "{open:?}");
-        let ended = desk.order(Order::Abort, "anna".into()).await;
+        let ended = order_sender.order(Order::Abort, "anna".into()).await;
         assert!(!ended.accepted && ended.message.contains("ending"), "{ended:?}");
     }
 }

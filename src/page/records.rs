@@ -44,7 +44,7 @@ pub async fn playback(State(app): State<App>, Path(id): Path<String>) -> Result<
             .map_err(|message| Refused::new(StatusCode::UNPROCESSABLE_ENTITY, message))
     });
     let page = page.await??;
-    // It brings its script with it, and gets no session: whatever is in it can ask for nothing.
+    // It brings its script with it, and gets no session: whatever is in it can send no request.
     let policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; \
                   frame-ancestors 'none'; sandbox allow-scripts";
     Ok(([(CONTENT_SECURITY_POLICY, policy)], Html(page)).into_response())

@@ -173,12 +173,12 @@ pub async fn order(
         tracing::warn!(?order, by, "order refused by the page: {message}");
         app.orders[1].fetch_add(1, Ordering::Relaxed);
         return match status {
-            // Of now, and not of who asks: an answer like the machine's own.
+            // Of now, and not of the requester: an answer like the machine's own.
             StatusCode::CONFLICT => Json(Reply::refuse(message)).into_response(),
             status => refusal(status, message),
         };
     }
-    let reply = app.desk.order(order, by).await;
+    let reply = app.order_sender.order(order, by).await;
     app.orders[usize::from(!reply.accepted)].fetch_add(1, Ordering::Relaxed);
     Json(reply).into_response()
 }
@@ -239,7 +239,7 @@ mod tests {
     use crate::jobs::state::StateFolder;
     use crate::page::access::Grant;
     use crate::page::feed::Feed;
-    use crate::page::orders::desk;
+    use crate::page::orders::order_channel;
     use crate::page::shared::Setup;
     use crate::page::texts::Texts;
     use cell_machine::orders::{Channels, Role, WayBack};
@@ -252,7 +252,7 @@ mod tests {
         config.control_from = vec![control_from.parse().unwrap()];
         let folder = tempfile::tempdir().unwrap();
         let state = StateFolder::new(folder.path());
-        let (desk, _) = desk(GripperMemory::new(&state, String::new()));
+        let (order_sender, _) = order_channel(GripperMemory::new(&state, String::new()));
         let (film, pictures) = Film::new();
         let setup = Setup {
             page: &config,
@@ -260,7 +260,7 @@ mod tests {
             config_name: String::new(),
             state,
             feed: Feed::default(),
-            desk,
+            order_sender,
             film,
             pictures,
             texts: Texts::read(&[]).unwrap(),

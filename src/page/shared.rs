@@ -12,7 +12,7 @@ use crate::page::calibration::bench::Bench;
 use crate::page::control::Control;
 use crate::page::feed::Feed;
 use crate::page::limits::Limits;
-use crate::page::orders::Desk;
+use crate::page::orders::OrderSender;
 use crate::page::screen::Screen;
 use crate::page::texts::Texts;
 use cell_edge::clock::unix_now_s;
@@ -38,7 +38,7 @@ pub struct Setup<'a> {
     /// What happens.
     pub feed: Feed,
     /// Where orders go.
-    pub desk: Desk,
+    pub order_sender: OrderSender,
     /// The camera's film.
     pub film: Film,
     /// Where its pictures arrive, and those of calibration rounds.
@@ -66,7 +66,7 @@ pub struct Shared {
     /// What happens.
     pub feed: Feed,
     /// Where orders go.
-    pub desk: Desk,
+    pub order_sender: OrderSender,
     /// The camera's film.
     pub film: Film,
     /// Its last picture.
@@ -88,7 +88,7 @@ pub struct Shared {
     control: Mutex<Control>,
     limits: Mutex<Limits>,
     calibration: Mutex<Bench>,
-    /// When a page that calibrates last asked for anything, by the clock of beats.
+    /// When a page that calibrates last requested anything, by the clock of beats.
     calibrated_at: AtomicU64,
 }
 
@@ -110,7 +110,7 @@ impl Shared {
             config_name: setup.config_name,
             state: setup.state,
             feed: setup.feed,
-            desk: setup.desk,
+            order_sender: setup.order_sender,
             film: setup.film,
             screen: Screen::default(),
             begun: Instant::now(),
@@ -139,12 +139,12 @@ impl Shared {
         locked(&self.control)
     }
 
-    /// Who may ask how often.
+    /// Who may send how many requests.
     pub fn limits(&self) -> MutexGuard<'_, Limits> {
         locked(&self.limits)
     }
 
-    /// What is calibrated. It is held while something is solved: not to be asked for by what must not wait.
+    /// What is calibrated. It is held while something is solved: not to be taken by what must not wait.
     pub fn calibration(&self) -> MutexGuard<'_, Bench> {
         locked(&self.calibration)
     }

@@ -14,7 +14,7 @@ use crate::jobs::record::{GoalPose, JobRecord, JobResult, JobSpec, JobState, Ste
 use crate::jobs::spool::is_plain_name;
 use crate::jobs::submit::{Found, Handed, hand_in, look, prepare};
 use crate::page::access::Person;
-use crate::page::drafts::{self, settled, troubles};
+use crate::page::drafts::{self, goal_faults, settled};
 use crate::page::guard::Refused;
 use crate::page::session::unreadable;
 use crate::page::shared::{App, Shared};
@@ -366,7 +366,7 @@ pub async fn check(
     }
     let body = beside(move || {
         let free = moved.and_then(|moved| settled(&app.cell, &objects, &moved));
-        json!({ "troubles": troubles(&app.cell, &objects), "free": free })
+        json!({ "troubles": goal_faults(&app.cell, &objects), "free": free })
     });
     Ok(Json(body.await?).into_response())
 }

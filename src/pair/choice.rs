@@ -2,7 +2,7 @@
 //!
 //! In: a seed. Out: [`Choice`], the usual one of that seed, to be changed where a run needs it.
 
-use crate::pair::eyes::Eye;
+use crate::pair::camera_view::SightKind;
 use crate::pair::network::Weather;
 
 /// Deterministic steps that a plan may take: enough for an optimal plan of a few moves.
@@ -14,7 +14,7 @@ pub struct Choice {
     /// Seed of every delay and error.
     pub seed: u64,
     /// How the cell sees.
-    pub eye: Eye,
+    pub eye: SightKind,
     /// How the network behaves.
     pub weather: Weather,
     /// Steps a plan may take.
@@ -28,7 +28,7 @@ pub struct Choice {
 impl Choice {
     /// Corners, a little weather.
     pub fn of(seed: u64) -> Choice {
-        let (eye, weather, plan_work) = (Eye::Corners, Weather::LAN, PLAN_WORK);
+        let (eye, weather, plan_work) = (SightKind::Corners, Weather::LAN, PLAN_WORK);
         Choice { seed, eye, weather, plan_work, keep_trace: false, replay: false }
     }
 }

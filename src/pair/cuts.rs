@@ -131,7 +131,7 @@ fn begun(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pair::eyes::Eye;
+    use crate::pair::camera_view::SightKind;
     use crate::pair::table::stage;
 
     #[test]
@@ -146,7 +146,7 @@ mod tests {
     #[test]
     fn a_power_cut_at_a_few_moments_of_a_job_loses_and_repeats_nothing() {
         const SEED: u64 = 4;
-        let stage = stage(SEED, Eye::Corners).unwrap();
+        let stage = stage(SEED, SightKind::Corners).unwrap();
         let all = moments(&stage, SEED).unwrap();
         assert!(all > 40, "{all} moments");
         for moment in (0..all).step_by(all / 5) {

@@ -8,11 +8,11 @@
 //! machine over real sockets (`daemon::shell`).
 
 mod adapter;
+pub mod camera_view;
 mod choice;
 pub mod cuts;
 pub mod disk;
 pub mod endurance;
-pub mod eyes;
 pub mod hands;
 pub mod mirror;
 pub mod modbus;
@@ -36,8 +36,8 @@ pub mod work;
 pub use adapter::Adapter;
 pub use choice::Choice;
 
+use crate::pair::camera_view::CameraView;
 use crate::pair::disk::Disk;
-use crate::pair::eyes::Eyes;
 use crate::pair::mirror::Mirror;
 use crate::pair::network::Network;
 use crate::pair::rules::Rules;
@@ -80,7 +80,7 @@ pub enum PairError {
     Machine(#[from] TemplateError),
     /// Camera or detector.
     #[error("eyes: {0}")]
-    Eyes(String),
+    CameraView(String),
 }
 
 /// How the daemon's process ends, for restarts.
@@ -107,7 +107,7 @@ pub struct Pair {
     machine: Machine,
     network: Network,
     disk: Disk,
-    eyes: Eyes,
+    camera_view: CameraView,
     store: Store,
     rng: ChaCha8Rng,
     later: Vec<Later>,
@@ -139,14 +139,14 @@ impl Pair {
     pub fn new(stage: Stage, choice: Choice) -> Result<Pair, PairError> {
         let Choice { seed, eye, weather, keep_trace, replay, .. } = choice;
         let simulator = Simulator::new(stage.controller.clone(), stage.world.clone(), seed, Vec::new())?;
-        let eyes = Eyes::new(eye, &stage, seed).map_err(PairError::Eyes)?;
+        let camera_view = CameraView::new(eye, &stage, seed).map_err(PairError::CameraView)?;
         let machine = Machine::new(stage.parameters.clone())?;
         Ok(Pair {
             network: Network::new(&simulator, seed, weather),
             mirror: replay.then(|| Mirror::new(seed, Timestamp::ZERO, &machine)),
             machine,
             simulator,
-            eyes,
+            camera_view,
             stage,
             choice,
             frame: 0,
@@ -200,8 +200,8 @@ impl Pair {
     }
 
     /// How the cell sees.
-    pub fn eyes(&mut self) -> &mut Eyes {
-        &mut self.eyes
+    pub fn camera_view(&mut self) -> &mut CameraView {
+        &mut self.camera_view
     }
 
     /// Jobs that wait, and reports of those that ended.
@@ -290,7 +290,7 @@ impl Pair {
     pub fn fault(&mut self, planned: Planned) -> Result<(), FaultError> {
         self.trace.line(self.frame, || format!("fault {}", planned.order.name));
         self.rules.disturbed(&planned.order);
-        self.simulator.core().desk.submit(vec![planned])
+        self.simulator.core().injector.submit(vec![planned])
     }
 
     /// Brings a fault about now.
@@ -318,7 +318,7 @@ impl Pair {
         self.network.close_all(&mut self.simulator);
         self.disk.cut();
         self.store.recover(self.disk.durable());
-        self.eyes.forget();
+        self.camera_view.forget();
         self.later.clear();
         self.due.clear();
         self.status = None;
@@ -425,7 +425,7 @@ impl Pair {
         let core = self.simulator.core();
         let world = lock(&core.world);
         let now_s = world.now_s();
-        let Some(seen) = self.eyes.step(&world, now_s) else { return };
+        let Some(seen) = self.camera_view.step(&world, now_s) else { return };
         self.due.extend(seen.exposed);
         let due = self.frame + (seen.evaluation_s / FRAME_SECONDS) as u64 + 1;
         self.later.push(Later { due, event: seen.event });
@@ -455,10 +455,10 @@ impl Pair {
             Effect::Registers(request) => self.network.transact(self.frame, &mut self.simulator, request),
             Effect::Look { number, frames, table_from_camera } => {
                 let now_s = lock(&self.simulator.core().world).now_s();
-                self.eyes.look(now_s, number, frames, table_from_camera);
+                self.camera_view.look(now_s, number, frames, table_from_camera);
             }
             Effect::Observe { number, views, partial, held } => {
-                let seen = self.eyes.observe(&views, partial.as_ref(), held.as_ref());
+                let seen = self.camera_view.observe(&views, partial.as_ref(), held.as_ref());
                 self.after(OBSERVING_S, Event::Observed(number, seen));
             }
             Effect::Plan { number, request } => {
@@ -472,7 +472,7 @@ impl Pair {
             Effect::End(how) => self.ended = Some(how.map_err(|fault| fault.to_string())),
             Effect::Picture { number, pose, base_from_flange } => {
                 let now_s = lock(&self.simulator.core().world).now_s();
-                self.eyes.picture(now_s, number, pose, base_from_flange);
+                self.camera_view.picture(now_s, number, pose, base_from_flange);
             }
             Effect::RoundOver(result) => self.round_over = Some(result),
             // A plan takes no time of its own here.

@@ -3,7 +3,7 @@
 //! In: nothing. Out: for each pair of [`STATES`] and [`ORDERS`] a [`Found`]: the answer, and what the arm,
 //! its power, the vacuum, arming and the jobs truly did afterwards. [`judge`] holds the two against each
 //! other, with a rule for each order: a refusal changes nothing, "now" means that something moves, "nothing
-//! moves" that nothing does, "stopped" that the arm stands. `docs/orders.md` is written from it
+//! moves" that nothing does, "stopped" that the arm rests. `docs/orders.md` is written from it
 //! (`pair::orders_page`).
 
 use crate::pair::run::{bring_up, true_poses};
@@ -71,10 +71,10 @@ pub static STATES: &[State] = &[
     State { name: "starting the robot", reach: |pair, stage| works(pair, stage, "starting the robot") },
     State { name: "looking", reach: |pair, stage| works(pair, stage, "looking") },
     State { name: "planning", reach: |pair, stage| works(pair, stage, "planning") },
-    State { name: "waiting for approval", reach: |pair, stage| asks(pair, stage) },
+    State { name: "waiting for approval", reach: |pair, stage| requests(pair, stage) },
     State {
         name: "waiting for approval, disarmed",
-        reach: |pair, stage| asks(pair, stage) && disarmed(pair),
+        reach: |pair, stage| requests(pair, stage) && disarmed(pair),
     },
     State { name: "approaching", reach: |pair, stage| works(pair, stage, "approaching") },
     State { name: "carrying", reach: |pair, stage| works(pair, stage, "carrying") },
@@ -316,7 +316,7 @@ fn works(pair: &mut Pair, stage: &Stage, words: &str) -> bool {
     there
 }
 
-fn asks(pair: &mut Pair, stage: &Stage) -> bool {
+fn requests(pair: &mut Pair, stage: &Stage) -> bool {
     submit(pair, stage, Approval::Always);
     pair.order(Order::Arm);
     shows(pair, "waiting for approval") && rests(pair)

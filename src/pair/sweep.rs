@@ -58,7 +58,7 @@ fn phase_of(pair: &Pair) -> Option<Phase> {
             if low { Phase::Descend } else { Phase::Approach }
         }
         Doing::Working(WorkStep::Gripping, _) => Phase::Grip,
-        Doing::Working(WorkStep::Carrying, _) => match core.desk.phase().1 {
+        Doing::Working(WorkStep::Carrying, _) => match core.injector.phase().1 {
             WorldPhase::Lift | WorldPhase::Grip => Phase::Lift,
             WorldPhase::Place => Phase::Place,
             WorldPhase::Approach | WorldPhase::Carry | WorldPhase::Retreat => Phase::Carry,
@@ -287,7 +287,7 @@ pub(super) fn bring_about(pair: &mut Pair, row: &Row) {
             lose(pair, Loss::PowerCut);
         }
         Cause::Garbage(link) => pair.garble(link),
-        Cause::Flipped => pair.eyes().flip(true),
+        Cause::Flipped => pair.camera_view().flip(true),
         Cause::Ordered(order) => {
             pair.order(order());
         }
@@ -312,7 +312,7 @@ fn lose(pair: &mut Pair, loss: Loss) {
 pub(super) fn after(pair: &mut Pair, stage: &Stage, seed: u64) -> Option<Code> {
     let swallows = pair.disk().swallows();
     pair.disk().mood = Mood::Fine;
-    pair.eyes().flip(false);
+    pair.camera_view().flip(false);
     let clear = Fault::Clear { fault: None };
     let _ = pair.fault_now(FaultOrder { name: "clear", fault: clear, seconds: None });
     if swallows {

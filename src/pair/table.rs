@@ -6,7 +6,7 @@ use crate::config::cell::CellConfig;
 use crate::config::sessions::machine_parameters;
 use crate::demo::cell::{DemoChoice, cell_config, sim_file};
 use crate::demo::task::requirements;
-use crate::pair::eyes::Eye;
+use crate::pair::camera_view::SightKind;
 use crate::pair::stage::Stage;
 use cell_machine::supervisor::model::ForeignRule;
 use rearrange::planning::plan::Objective;
@@ -36,7 +36,7 @@ objects:
 ///
 /// # Errors
 /// What does not fit together.
-pub fn stage(seed: u64, eye: Eye) -> Result<Stage, String> {
+pub fn stage(seed: u64, eye: SightKind) -> Result<Stage, String> {
     let given = parse_instance(TABLE, "table", &|_| None).map_err(|complaints| complaints.to_string())?;
     let instance = fit(&given, &requirements()).map_err(|error| error.to_string())?.instance;
     let choice = DemoChoice {
@@ -48,7 +48,7 @@ pub fn stage(seed: u64, eye: Eye) -> Result<Stage, String> {
         time_limit_s: 2.0,
     };
     let mut config = cell_config(&instance, &choice, Path::new("."))?;
-    if eye == Eye::Corners {
+    if eye == SightKind::Corners {
         // Corners have no depth.
         config.foreign = ForeignRule::Off;
     }

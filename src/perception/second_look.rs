@@ -149,7 +149,7 @@ mod tests {
         let seen = perception.observe(std::slice::from_ref(&view), None).unwrap();
         let trusted = seen.objects.len() + seen.suspicious.len();
         assert_eq!((trusted, seen.missing.len(), seen.reference.is_some()), (5, 0, true), "{seen:?}");
-        // The picture is gone with its look: what is asked again of the same view is what the view shows.
+        // The picture is gone with its look: a second search of the same view finds what the view shows.
         let again = perception.observe(&[view], None).unwrap();
         assert!(!again.missing.is_empty() || again.reference.is_none(), "{again:?}");
     }

@@ -15,7 +15,7 @@ pub struct TimeRow {
     pub parts: Vec<(&'static str, f64)>,
 }
 
-/// Colours that colour-blind people tell apart, after Okabe and Ito; rests are darker than motion.
+/// Colours that colour-blind people distinguish, after Okabe and Ito; rests are darker than motion.
 const COLOURS: [&str; 9] =
     ["#56b4e9", "#0072b2", "#009e73", "#e69f00", "#f0e442", "#d55e00", "#cc79a7", "#777777", "#222222"];
 

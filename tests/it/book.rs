@@ -11,14 +11,14 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests: an unwrap that fails is the test that fails")]
 
-mod desk;
 mod ordered;
 mod pages;
 mod reference;
+mod sandbox;
 
-use desk::Desk;
 use ordered::Json;
 use pages::{Block, anchors, blocks, links, missing};
+use sandbox::Sandbox;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -53,20 +53,20 @@ fn names() -> BTreeSet<String> {
 }
 
 /// Runs the commands of a page, of which there are at least `least`, and holds its pictures.
-fn runs(desk: &Desk, page: &str, least: usize) {
+fn runs(sandbox: &Sandbox, page: &str, least: usize) {
     let text = read(&format!("docs/{page}"));
     let (mut run, mut printed) = (0, String::new());
     let all = blocks(&text);
     for (block, next) in all.iter().zip(all.iter().skip(1).map(Some).chain([None])) {
         let begun = Instant::now();
         match block.info.as_str() {
-            "sh" => printed = desk.run(page, block),
+            "sh" => printed = sandbox.run(page, block),
             "sh retry" => {
                 let wanted = next.filter(|next| next.info == "text").map_or("", |next| &next.text);
-                printed = desk.run_until_it_prints(page, block, wanted);
+                printed = sandbox.run_until_it_prints(page, block, wanted);
             }
-            "sh background" => desk.run_beside(page, block),
-            "yaml" => desk.keep(block),
+            "sh background" => sandbox.run_beside(page, block),
+            "yaml" => sandbox.keep(block),
             "text" => {
                 let line = missing(&block.text, &printed);
                 assert!(line.is_none(), "{page}:{}: not printed: {line:?}\n{printed}", block.line);
@@ -82,7 +82,7 @@ fn runs(desk: &Desk, page: &str, least: usize) {
     assert!(run >= least, "{page}: {run} commands, at least {least} were to be run");
     for (_, link) in links(&text) {
         if let Some(name) = link.strip_prefix("pictures/") {
-            let made = std::fs::read_to_string(desk.path().join(name));
+            let made = std::fs::read_to_string(sandbox.path().join(name));
             let made = made.unwrap_or_else(|error| panic!("{page}: no command makes {name}: {error}"));
             assert!(made.len() <= PICTURE_BYTES, "{name} has {} bytes", made.len());
             held(&format!("docs/pictures/{name}"), &made);
@@ -109,24 +109,24 @@ fn knows_the_words(page: &str, block: &Block) {
 
 #[test]
 fn cell_book_quick_start_goes_from_a_clone_to_a_rearranged_table() {
-    let desk = Desk::new("127.7.21.1", 2);
-    runs(&desk, "quick-start.md", 12);
-    std::fs::copy(desk.path().join("out/two/run.mcap"), desk.path().join("run.mcap")).unwrap();
-    runs(&desk, "recordings.md", 3);
+    let sandbox = Sandbox::new("127.7.21.1", 2);
+    runs(&sandbox, "quick-start.md", 12);
+    std::fs::copy(sandbox.path().join("out/two/run.mcap"), sandbox.path().join("run.mcap")).unwrap();
+    runs(&sandbox, "recordings.md", 3);
 }
 
 #[test]
 fn cell_book_jobs_does_what_each_recipe_says() {
-    runs(&Desk::new("127.7.21.2", 3), "jobs.md", 20);
+    runs(&Sandbox::new("127.7.21.2", 3), "jobs.md", 20);
 }
 
 #[test]
 fn book_pages_that_need_no_devices_run_as_printed() {
-    let desk = Desk::new("127.7.21.3", 1);
+    let sandbox = Sandbox::new("127.7.21.3", 1);
     for (page, least) in
         [("concepts.md", 3), ("solvers.md", 11), ("calibration.md", 3), ("commissioning.md", 1)]
     {
-        runs(&desk, page, least);
+        runs(&sandbox, page, least);
     }
 }
 

@@ -49,12 +49,12 @@ fn with_camera(cell: &Path, camera: &str) {
 }
 
 /// The running cell as a person sees it.
-struct Desk<'a> {
+struct CellInUse<'a> {
     folder: &'a Path,
     state: PathBuf,
 }
 
-impl Desk<'_> {
+impl CellInUse<'_> {
     fn status(&self) -> String {
         text(&celld(&["status"], self.folder).stdout)
     }
@@ -98,8 +98,8 @@ fn cell_waits_for_a_broken_camera_names_the_fault_and_goes_on() {
     copy_calibration(folder.path());
     let _simulator = start_sim(&sim);
     let daemon = start_daemon(folder.path(), &cell);
-    let desk = Desk { folder: folder.path(), state: folder.path().join("state") };
-    desk.arm();
+    let cell_in_use = CellInUse { folder: folder.path(), state: folder.path().join("state") };
+    cell_in_use.arm();
     let cases = [
         ("{do: camera.off}", "camera_unplugged"),
         ("{do: camera.freeze}", "camera_frozen"),
@@ -108,14 +108,14 @@ fn cell_waits_for_a_broken_camera_names_the_fault_and_goes_on() {
     for (number, (order, code)) in cases.into_iter().enumerate() {
         // There is always something to move, so that the absence of motion means something.
         let x = if number % 2 == 0 { 0.30 } else { 0.36 };
-        let result = desk.job(code, x, || {
+        let result = cell_in_use.job(code, x, || {
             fault(order);
             let (before, named) = (truth(), Cell::new(false));
             wait_until(code, || {
-                named.set(desk.status().contains(code));
-                named.get() || desk.ended(code).is_some()
+                named.set(cell_in_use.status().contains(code));
+                named.get() || cell_in_use.ended(code).is_some()
             });
-            assert!(named.get(), "{code} is not named: {:?}", desk.ended(code));
+            assert!(named.get(), "{code} is not named: {:?}", cell_in_use.ended(code));
             assert_eq!(truth(), before, "{code}: nothing is touched while nothing is seen");
             fault("{do: clear}");
         });
@@ -123,31 +123,33 @@ fn cell_waits_for_a_broken_camera_names_the_fault_and_goes_on() {
         assert!((truth().0 - x).abs() < 0.003, "{code}: the lid was carried after all");
     }
 
-    let result = desk.job("blind", 0.40, || fault("{do: camera.off}"));
+    let result = cell_in_use.job("blind", 0.40, || fault("{do: camera.off}"));
     assert!(result.contains("code: \"camera_unplugged\""), "{result}");
     assert!(result.contains("cable") && result.contains("asked again 2 x, connected anew 2 x"), "{result}");
-    let status = desk.status();
+    let status = cell_in_use.status();
     assert!(status.contains("armed") && !status.contains("disarmed"), "{status}");
     fault("{do: clear}");
-    let result = desk.job("again", 0.40, || {});
+    let result = cell_in_use.job("again", 0.40, || {});
     assert!(result.contains("status: done"), "{result}");
-    desk.nothing_has_disarmed_it();
+    cell_in_use.nothing_has_disarmed_it();
 
     drop(daemon);
-    waits_for_a_camera_that_was_never_there(&desk, &cell);
+    waits_for_a_camera_that_was_never_there(&cell_in_use, &cell);
 }
 
 /// The daemon starts without its camera and waits for it.
-fn waits_for_a_camera_that_was_never_there(desk: &Desk, cell: &Path) {
+fn waits_for_a_camera_that_was_never_there(cell_in_use: &CellInUse, cell: &Path) {
     with_camera(
         cell,
         "  camera: {kind: uvc, device: /dev/v4l/by-id/usb-away-video-index0, serial: sim-d405, width: 1280, \
          height: 720, fps: 30}",
     );
-    let _daemon = start_daemon(desk.folder, cell);
-    desk.arm();
-    let file = desk.state.join("jobs/incoming/away.yaml");
+    let _daemon = start_daemon(cell_in_use.folder, cell);
+    cell_in_use.arm();
+    let file = cell_in_use.state.join("jobs/incoming/away.yaml");
     let goal = "goal:\n  objects:\n    - {id: lid, pose: [0.36, 0.38, 0]}\n";
     std::fs::write(file, format!("version: 1\nid: away\n{goal}")).expect("written");
-    wait_until("the look waits for the camera", || desk.status().contains("waiting: camera_unplugged"));
+    wait_until("the look waits for the camera", || {
+        cell_in_use.status().contains("waiting: camera_unplugged")
+    });
 }

@@ -4,8 +4,8 @@ use cell_machine::orders::Order;
 use cell_machine::supervisor::round::RoundOrder;
 use cell_machine::supervisor::status::Doing;
 use cell_motion::slow::CalibrationBox;
+use celld::pair::camera_view::SightKind;
 use celld::pair::endurance::{Course, Period, endurance};
-use celld::pair::eyes::Eye;
 use celld::pair::orders::{self, ORDERS_SEED};
 use celld::pair::orders_page;
 use celld::pair::outcome::Phase;
@@ -26,7 +26,7 @@ use ur_sim::faults::read::read_posted;
 fn a_seed_gives_the_same_run_twice_and_another_seed_another() {
     let mut prints = Vec::new();
     for seed in 0..6 {
-        let stage = stage(seed, Eye::Corners).unwrap();
+        let stage = stage(seed, SightKind::Corners).unwrap();
         let once = || run_jobs(&stage, Choice::of(seed), 1, &[], &mut |_| {}).unwrap().0;
         let (first, second) = (once(), once());
         assert_eq!(first, second, "seed {seed}");
@@ -40,7 +40,7 @@ fn a_seed_gives_the_same_run_twice_and_another_seed_another() {
 
 #[test]
 fn a_cell_that_works_on_through_faults_does_not_grow() {
-    let stage = stage(21, Eye::Corners).unwrap();
+    let stage = stage(21, SightKind::Corners).unwrap();
     let course = Course { periods: 6, period_s: 180.0, fault_every_s: 90.0 };
     let mut periods: Vec<Period> = Vec::new();
     let over = &mut |period: &Period| periods.push(period.clone());
@@ -78,7 +78,7 @@ fn part() -> usize {
 /// an eighth, and of the faults that can occur in a phase.
 #[test]
 fn every_fault_has_the_reaction_that_the_page_gives() {
-    let stage = stage(PAGE_SEED, Eye::Corners).unwrap();
+    let stage = stage(PAGE_SEED, SightKind::Corners).unwrap();
     let page = expected(PAGE);
     let rows = ROWS.iter().enumerate();
     let cases: Vec<(&Row, Phase)> = rows
@@ -102,7 +102,7 @@ fn every_fault_has_the_reaction_that_the_page_gives() {
 /// What `celld simulate --orders` does.
 #[test]
 fn every_order_in_every_state_does_what_it_answers() {
-    let stage = stage(ORDERS_SEED, Eye::Corners).unwrap();
+    let stage = stage(ORDERS_SEED, SightKind::Corners).unwrap();
     let page = orders_page::expected(orders_page::PAGE);
     assert_eq!(page.len(), orders::cases().count(), "docs/orders.md: see its second paragraph");
     // Every third order of each state, and in the next state the ones after them.
@@ -139,7 +139,7 @@ fn no_rule_is_broken_and_no_job_lost_under_random_faults() {
     let wrong: Vec<String> = seeds
         .par_iter()
         .flat_map_iter(|seed| {
-            let stage = stage(*seed, Eye::Corners).unwrap();
+            let stage = stage(*seed, SightKind::Corners).unwrap();
             let (aftermath, _) = storm(&stage, Choice::of(*seed), &strikes(*seed)).unwrap();
             aftermath.faults.into_iter().map(move |fault| format!("seed {seed}: {fault}"))
         })
@@ -155,7 +155,7 @@ fn a_paused_program_does_not_move_on_after_a_stop() {
     const RTDE: &str = r#"{"do": "net.reset_peer", "args": {"link": "rtde"}}"#;
     // Play comes before the stop is given up, or after the link to the registers was lost as well.
     for (seconds, faults) in [(2.5, [DASHBOARD].as_slice()), (12.0, &[DASHBOARD, RTDE])] {
-        let stage = stage(7, Eye::Corners).unwrap();
+        let stage = stage(7, SightKind::Corners).unwrap();
         let mut pair = Pair::new(stage.clone(), Choice::of(7)).unwrap();
         assert!(bring_up(&mut pair));
         pair.order(Order::Arm);
@@ -186,7 +186,7 @@ fn a_calibration_round_ends_disarmed_whatever_happens() {
     const CAMERA: &str = r#"{"do": "camera.off"}"#;
     const CABLE: &str = r#"{"do": "net.reset_peer", "args": {"link": "rtde"}}"#;
     const SAFETY: &str = r#"{"do": "ur.pstop"}"#;
-    let stage = stage(5, Eye::Corners).unwrap();
+    let stage = stage(5, SightKind::Corners).unwrap();
     let poses = [stage.model.look_poses.clone(), vec![stage.model.park]].concat();
     for (fault, order) in [
         (None, None),
@@ -212,7 +212,7 @@ fn a_calibration_round_ends_disarmed_whatever_happens() {
         assert!(pair.run_until(300.0, |pair| pair.round_over().is_some()), "{:?}", pair.notices());
         let sound = fault.is_none() && !ordered;
         assert_eq!(pair.round_over().unwrap().is_ok(), sound, "{fault:?}: {:?}", pair.round_over());
-        let pictures = pair.eyes().pictures().len();
+        let pictures = pair.camera_view().pictures().len();
         assert_eq!(pictures, if sound { poses.len() } else { 1 }, "{fault:?}");
         pair.run_until(10.0, |_| false);
         let playing = pair.simulator().core().robot.controller().programs.playing();
@@ -225,7 +225,7 @@ fn a_calibration_round_ends_disarmed_whatever_happens() {
 /// Ctrl-C of `celld calibrate` is an abort: while a picture is taken the arm is at rest, and stays at rest.
 #[test]
 fn a_round_that_is_aborted_at_a_picture_leaves_the_arm_where_it_is() {
-    let stage = stage(6, Eye::Corners).unwrap();
+    let stage = stage(6, SightKind::Corners).unwrap();
     let mut pair = Pair::new(stage.clone(), Choice::of(6)).unwrap();
     assert!(bring_up(&mut pair));
     pair.visit(RoundOrder { poses: stage.model.look_poses.clone(), room: None });
@@ -244,7 +244,7 @@ fn a_round_that_is_aborted_at_a_picture_leaves_the_arm_where_it_is() {
 
 #[test]
 fn a_pose_outside_the_calibration_box_is_refused_and_the_arm_stays() {
-    let stage = stage(6, Eye::Corners).unwrap();
+    let stage = stage(6, SightKind::Corners).unwrap();
     let mut pair = Pair::new(stage.clone(), Choice::of(6)).unwrap();
     assert!(bring_up(&mut pair));
     let q = |pair: &Pair| pair.simulator().core().robot.controller().core.mover.q();
@@ -260,7 +260,7 @@ fn a_pose_outside_the_calibration_box_is_refused_and_the_arm_stays() {
         "{reported}"
     );
     pair.run_until(10.0, |_| false);
-    assert!(stood.max_difference(&q(&pair)) < 1e-4 && pair.eyes().pictures().is_empty());
+    assert!(stood.max_difference(&q(&pair)) < 1e-4 && pair.camera_view().pictures().is_empty());
     assert_eq!(pair.breaches(), []);
 }
 
@@ -269,7 +269,7 @@ fn a_pose_outside_the_calibration_box_is_refused_and_the_arm_stays() {
 #[test]
 fn both_eyes_see_the_same_table() {
     for seed in [3, 4] {
-        let seen = [Eye::Corners, Eye::Pictures].map(|eye| observed(seed, eye).unwrap());
+        let seen = [SightKind::Corners, SightKind::Pictures].map(|eye| observed(seed, eye).unwrap());
         let [corners, pictures] = &seen;
         assert_eq!(corners.len(), 6);
         assert_eq!(corners.len(), pictures.len());
@@ -283,8 +283,8 @@ fn both_eyes_see_the_same_table() {
     }
 }
 
-fn observed(seed: u64, eye: Eye) -> Result<Vec<(String, Pose2)>, String> {
-    let stage = stage(seed, Eye::Corners)?;
+fn observed(seed: u64, eye: SightKind) -> Result<Vec<(String, Pose2)>, String> {
+    let stage = stage(seed, SightKind::Corners)?;
     let choice = Choice { eye, ..Choice::of(seed) };
     let mut pair = Pair::new(stage.clone(), choice).map_err(|error| error.to_string())?;
     assert!(bring_up(&mut pair));

@@ -7,7 +7,7 @@ use cell_machine::supervisor::order::JobReport;
 use cell_motion::bodies::cell::NamedShape;
 use cell_motion::bodies::shape::Shape;
 use cell_values::units::Joints;
-use celld::pair::eyes::Eye;
+use celld::pair::camera_view::SightKind;
 use celld::pair::run::{bring_up, true_poses};
 use celld::pair::stage::Stage;
 use celld::pair::table::stage;
@@ -20,7 +20,7 @@ use rearrange::geometry::pose::Pose2;
 fn left_at(stage: &Stage, start: Joints) -> Pair {
     let mut stage = stage.clone();
     stage.controller.start = start;
-    let mut pair = Pair::new(stage, Choice { eye: Eye::Corners, ..Choice::of(1) }).expect("a cell");
+    let mut pair = Pair::new(stage, Choice { eye: SightKind::Corners, ..Choice::of(1) }).expect("a cell");
     assert!(bring_up(&mut pair));
     pair
 }
@@ -45,7 +45,7 @@ fn turned_m(pair: &Pair, joint: usize) -> f64 {
 
 #[test]
 fn a_base_that_was_left_wound_up_does_not_sweep_round() {
-    let stage = stage(1, Eye::Corners).expect("a cell");
+    let stage = stage(1, SightKind::Corners).expect("a cell");
     let mut start = stage.model.park;
     start.0[0] += std::f64::consts::TAU;
     let mut pair = left_at(&stage, start);
@@ -63,7 +63,7 @@ fn a_base_that_was_left_wound_up_does_not_sweep_round() {
 
 #[test]
 fn from_a_folded_wrist_the_arm_finds_its_way_or_stays() {
-    let stage = stage(1, Eye::Corners).expect("a cell");
+    let stage = stage(1, SightKind::Corners).expect("a cell");
     let folded = Joints([-30.2, -136.8, 129.9, 36.4, -92.1, -70.0].map(f64::to_radians));
     let mut pair = left_at(&stage, folded);
     looks(&mut pair, &stage).expect("there is a way round the upper arm");
@@ -71,7 +71,7 @@ fn from_a_folded_wrist_the_arm_finds_its_way_or_stays() {
 
 #[test]
 fn from_random_places_the_arm_goes_a_free_way_or_stays_and_says_what_is_near() {
-    let stage = stage(1, Eye::Corners).expect("a cell");
+    let stage = stage(1, SightKind::Corners).expect("a cell");
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(17);
     let (mut gone, mut stayed, mut jogged) = (0, 0, 0);
     for case in 0..30 {
@@ -112,7 +112,7 @@ fn after_the_jog(start: &Joints, hint: &str) -> Option<Joints> {
 
 #[test]
 fn a_job_out_of_reach_fails_before_its_first_move_and_names_object_and_place() {
-    let mut stage = stage(1, Eye::Corners).expect("a cell");
+    let mut stage = stage(1, SightKind::Corners).expect("a cell");
     // A feeder hangs over the far right corner of the table: the gripper cannot come down there.
     let far = Pose2::new(0.33, 0.33, 0.0);
     let at = stage.model.arm.base_from_table * far.at_height(0.25);

@@ -6,8 +6,8 @@ use cell_machine::code::Code;
 use cell_machine::orders::Order;
 use cell_machine::times::Use;
 use celld::bench::cycle::{CycleRun, FAST, USUAL, run};
+use celld::pair::camera_view::SightKind;
 use celld::pair::disk::Mood;
-use celld::pair::eyes::Eye;
 use celld::pair::hands::hands;
 use celld::pair::run::{bring_up, true_poses};
 use celld::pair::table::stage;
@@ -21,7 +21,7 @@ fn nothing_is_picked_where_a_picture_since_a_hand_would_have_shown_that_it_is_no
     let wrong: Vec<String> = (0..24_u64)
         .into_par_iter()
         .flat_map_iter(|seed| {
-            let (faults, _) = hands(&stage(seed, Eye::Corners).unwrap(), seed, false).unwrap();
+            let (faults, _) = hands(&stage(seed, SightKind::Corners).unwrap(), seed, false).unwrap();
             faults.into_iter().map(move |fault| format!("seed {seed}: {fault}"))
         })
         .collect();
@@ -30,7 +30,7 @@ fn nothing_is_picked_where_a_picture_since_a_hand_would_have_shown_that_it_is_no
 
 /// One job with a disk of this mood from its first look on.
 fn one_job(seed: u64, mood: Mood) -> Pair {
-    let stage = stage(seed, Eye::Corners).expect("a stage");
+    let stage = stage(seed, SightKind::Corners).expect("a stage");
     let mut pair = Pair::new(stage.clone(), Choice::of(seed)).expect("a pair");
     assert!(bring_up(&mut pair));
     pair.order(Order::Arm);

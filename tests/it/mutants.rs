@@ -10,7 +10,7 @@ use cell_machine::machine::Machine;
 use cell_machine::orders::{Order, Reply};
 use cell_machine::supervisor::status::{Doing, WorkStep};
 use cell_vision::observe::Observation;
-use celld::pair::eyes::Eye;
+use celld::pair::camera_view::SightKind;
 use celld::pair::rules::{Breach, Rule};
 use celld::pair::run::{bring_up, true_poses};
 use celld::pair::stage::Stage;
@@ -299,7 +299,7 @@ fn until_no_job(pair: &mut Pair) {
 /// An operator's afternoon: a job stopped while it carries, one disarmed in the middle, one during which the
 /// pendant is switched to local control, one with a protective stop.
 fn drill(fault: Fault) -> Result<(Vec<Breach>, usize), String> {
-    let mut stage = stage(5, Eye::Corners)?;
+    let mut stage = stage(5, SightKind::Corners)?;
     // Long enough not to be found in bytes that mean something else.
     stage.parameters.nonce_seed = 1_234_567_890;
     let mut pair = Pair::new(stage.clone(), Choice::of(5)).map_err(|error| error.to_string())?;

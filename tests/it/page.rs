@@ -415,7 +415,7 @@ fn cell_page_calibrates_step_by_step_and_moves_only_when_ordered() {
     let disarmed = cell.order(&engineer, json!({ "do": "calibrate" }));
     assert!(disarmed["message"].as_str().is_some_and(|m| m.contains("disarmed")), "{disarmed}");
 
-    // Where the arm stands is recorded, and does not place a table by itself.
+    // Where the arm rests is recorded, and does not place a table by itself.
     let points =
         json!({ "do": "touches", "points": ["500", "501:lower_left", "0.25/0.25"], "tip_mm": [0, 0, 150] });
     assert_eq!(step(points).status, 200);

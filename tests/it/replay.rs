@@ -12,7 +12,7 @@ use cell_replay::{Kind, Piece, Replay, event_of};
 use celld::daemon::recorder::{piece_of, topic_of};
 use celld::io::recording::Recording;
 use celld::io::recording::read::{Item, Items};
-use celld::pair::eyes::Eye;
+use celld::pair::camera_view::SightKind;
 use celld::pair::rules::Rule;
 use celld::pair::run::{bring_up, run_jobs, true_poses};
 use celld::pair::storm::{storm, strikes};
@@ -33,7 +33,7 @@ fn differs(pair: &Pair) -> Option<String> {
 fn jobs_with_faults_are_decided_the_same_again() {
     let mut decisions = 0;
     for seed in 100..106 {
-        let stage = stage(seed, Eye::Corners).unwrap();
+        let stage = stage(seed, SightKind::Corners).unwrap();
         let choice = Choice { replay: true, ..Choice::of(seed) };
         let (_, pair) = storm(&stage, choice, &strikes(seed)).unwrap();
         assert_eq!(differs(&pair), None, "seed {seed}");
@@ -45,15 +45,15 @@ fn jobs_with_faults_are_decided_the_same_again() {
 /// Rendered pictures, the real detector and depth are observations like any other.
 #[test]
 fn a_job_on_pictures_is_decided_the_same_again() {
-    let stage = stage(3, Eye::Pictures).unwrap();
-    let choice = Choice { replay: true, eye: Eye::Pictures, ..Choice::of(3) };
+    let stage = stage(3, SightKind::Pictures).unwrap();
+    let choice = Choice { replay: true, eye: SightKind::Pictures, ..Choice::of(3) };
     let (summary, pair) = run_jobs(&stage, choice, 1, &[], &mut |_| {}).unwrap();
     assert_eq!((summary.jobs, differs(&pair)), (1, None));
 }
 
 /// The pieces of one job, as a recording has them.
 fn pieces() -> Vec<Piece> {
-    let stage = stage(5, Eye::Corners).unwrap();
+    let stage = stage(5, SightKind::Corners).unwrap();
     let mut choice = Choice::of(5);
     choice.replay = true;
     let mut pair = Pair::new(stage.clone(), choice).unwrap();
@@ -102,7 +102,7 @@ fn a_recording_that_lacks_something_differs() {
 
 /// A job as a recording in a file; where everything truly lies at its end.
 fn recorded_job(path: &Path) -> Vec<(String, Pose2)> {
-    let stage = stage(8, Eye::Corners).unwrap();
+    let stage = stage(8, SightKind::Corners).unwrap();
     let mut choice = Choice::of(8);
     choice.replay = true;
     let mut pair = Pair::new(stage.clone(), choice).unwrap();

@@ -233,7 +233,7 @@ async fn from_powered_off_to_the_end_of_a_path() {
     cell.follow(cell.path(-1.0)).await;
     cell.command(RobotCommand::EndProgram);
     cell.wait("end", |cell| {
-        cell.saw(|e| matches!(e, RobotEvent::ProgramEnded { reason: ProgramEnd::AsAsked }))
+        cell.saw(|e| matches!(e, RobotEvent::ProgramEnded { reason: ProgramEnd::AsRequested }))
     })
     .await;
     cell.shutdown().await;

@@ -32,20 +32,20 @@ const PLAN: &str = r#"{"solver": "erbm", "objective": "pp", "seed": 0, "status":
 /// What a reader says of a text.
 type Reader = fn(&str) -> Result<(), String>;
 
-fn told<T>(read: Result<T, Diagnostics>) -> Result<(), String> {
+fn outcome<T>(read: Result<T, Diagnostics>) -> Result<(), String> {
     read.map(drop).map_err(|complaints| complaints.to_string())
 }
 
 fn config(text: &str) -> Result<(), String> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
     let file = |path: &Path| std::fs::read_to_string(path).map_err(|error| error.to_string());
-    told(read_cell(text, "cell.yaml", None, &folder, &file))
+    outcome(read_cell(text, "cell.yaml", None, &folder, &file))
 }
 
 fn job(text: &str) -> Result<(), String> {
     let read_goal = |_: &str| -> Result<String, String> { Ok(super::spoilt_files::GOAL.to_string()) };
     let context = JobContext { goal: None, approval: Approval::Never, read_goal: &read_goal, found: None };
-    told(read_job(text, "job.yaml", &context))
+    outcome(read_job(text, "job.yaml", &context))
 }
 
 fn plan(text: &str) -> Result<(), String> {
@@ -67,31 +67,35 @@ fn examples() -> Vec<(Kind, Reader, Vec<String>)> {
     ];
     vec![
         (Kind::Config, config, vec![file("config/cell.yaml")]),
-        (Kind::Sim, |text| told(read_sim(text, "sim.yaml")), simulators(&file("config/sim.yaml"))),
+        (Kind::Sim, |text| outcome(read_sim(text, "sim.yaml")), simulators(&file("config/sim.yaml"))),
         (
             Kind::Faults,
-            |text| told(read_faults(text, "faults.yaml")),
+            |text| outcome(read_faults(text, "faults.yaml")),
             vec![file("config/faults-example.yaml")],
         ),
         (Kind::Job, job, jobs.map(str::to_string).to_vec()),
-        (Kind::Goal, |text| told(parse_goal_file(text, "goal.yaml", None)), vec![sound::GOAL.to_string()]),
+        (Kind::Goal, |text| outcome(parse_goal_file(text, "goal.yaml", None)), vec![sound::GOAL.to_string()]),
         (
             Kind::Instance,
-            |text| told(parse_with_sound_goals(text, "instance.yaml", &|_| None)),
+            |text| outcome(parse_with_sound_goals(text, "instance.yaml", &|_| None)),
             vec![sound::INSTANCE.to_string()],
         ),
         (Kind::Plan, plan, vec![PLAN.to_string()]),
         (
             Kind::Calibration,
-            |text| told(CameraCalibration::parse(text, "c")),
+            |text| outcome(CameraCalibration::parse(text, "c")),
             vec![sound::CAMERA.to_string()],
         ),
         (
             Kind::Calibration,
-            |text| told(HandEyeCalibration::parse(text, "c")),
+            |text| outcome(HandEyeCalibration::parse(text, "c")),
             vec![sound::HAND_EYE.to_string()],
         ),
-        (Kind::Calibration, |text| told(TableCalibration::parse(text, "c")), vec![sound::TABLE.to_string()]),
+        (
+            Kind::Calibration,
+            |text| outcome(TableCalibration::parse(text, "c")),
+            vec![sound::TABLE.to_string()],
+        ),
     ]
 }
 

@@ -18,7 +18,7 @@ use cell_vision::board::Board;
 use cell_vision::detect::Family;
 use celld::config::cell::CellConfig;
 use celld::config::load::load_cell;
-use celld::pair::eyes::Eye;
+use celld::pair::camera_view::SightKind;
 use celld::pair::run::bring_up;
 use celld::pair::stage::Stage;
 use celld::pair::table::stage_of;
@@ -54,7 +54,7 @@ fn configurations() -> Result<(CellConfig, SimFile), String> {
 
 /// A cell, armed, with pictures for eyes.
 fn armed(stage: Stage) -> Result<Pair, String> {
-    let choice = Choice { eye: Eye::Pictures, ..Choice::of(1) };
+    let choice = Choice { eye: SightKind::Pictures, ..Choice::of(1) };
     let mut pair = Pair::new(stage, choice).map_err(|error| error.to_string())?;
     assert!(bring_up(&mut pair), "the cell comes up");
     pair.order(Order::Arm);
@@ -251,7 +251,7 @@ fn a_cell_works_from_a_camera_that_stands() {
 fn of_the_empty_table(stage: &Stage) -> Result<Vec<(Image, Isometry3<f64>)>, String> {
     let mut bare = stage.clone();
     bare.world.objects.clear();
-    let choice = Choice { eye: Eye::Pictures, ..Choice::of(2) };
+    let choice = Choice { eye: SightKind::Pictures, ..Choice::of(2) };
     let mut pair = Pair::new(bare, choice).map_err(|error| error.to_string())?;
     assert!(bring_up(&mut pair), "the cell comes up");
     pair.visit(RoundOrder { poses: stage.model.look_poses.clone(), room: None });
@@ -259,7 +259,7 @@ fn of_the_empty_table(stage: &Stage) -> Result<Vec<(Image, Isometry3<f64>)>, Str
     assert_eq!(pair.round_over(), Some(&Ok(())));
     assert_eq!(pair.breaches(), []);
     let table_from_base = stage.model.arm.base_from_table.inverse();
-    let pictures = pair.eyes().pictures().iter().map(|picture| {
+    let pictures = pair.camera_view().pictures().iter().map(|picture| {
         let image = picture.image.clone().ok_or("no picture")?;
         Ok((image, table_from_base * stage.model.mount.base_from_camera(&picture.base_from_flange)))
     });

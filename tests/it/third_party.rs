@@ -17,7 +17,7 @@ use celld::daemon::messages::Displayed;
 use celld::daemon::recorder::Recorder;
 use celld::daemon::shell::Scene;
 use celld::io::recording::repair::{Repaired, repair};
-use celld::pair::eyes::Eye;
+use celld::pair::camera_view::SightKind;
 use celld::pair::run::{bring_up, true_poses};
 use celld::pair::table::stage;
 use celld::pair::{Choice, Pair};
@@ -105,7 +105,7 @@ fn ur_rtde_calls_return_what_they_promise() {
 }
 
 #[test]
-fn ur_rtde_receives_switches_and_asks_the_dashboard() {
+fn ur_rtde_receives_switches_and_requests_the_dashboard() {
     passes("ur_rtde_rest.py", "127.71.0.3");
 }
 
@@ -121,7 +121,7 @@ fn pymodbus_drives_the_gripper_on_the_arm() {
 
 /// A cell that stands, with everything that a recording may hold, pictures of this size.
 fn record(path: &Path, [width, height]: [u32; 2]) {
-    let stage = stage(3, Eye::Corners).unwrap();
+    let stage = stage(3, SightKind::Corners).unwrap();
     let mut pair = Pair::new(stage.clone(), Choice::of(3)).unwrap();
     assert!(bring_up(&mut pair));
     let lens = stage.model.sight.as_ref().map(|sight| sight.camera.clone());

@@ -3,7 +3,7 @@
 
 use cell_machine::device::gripper_types::Channels;
 use cell_machine::orders::{Order, Reply, WayBack};
-use celld::pair::eyes::Eye;
+use celld::pair::camera_view::SightKind;
 use celld::pair::run::{bring_up, true_poses};
 use celld::pair::stage::Stage;
 use celld::pair::table::stage;
@@ -33,7 +33,7 @@ fn answer(pair: &mut Pair, order: Order) -> Reply {
 }
 
 /// A cell in which an object is carried.
-fn carrying(seed: u64, eye: Eye) -> (Pair, Stage) {
+fn carrying(seed: u64, eye: SightKind) -> (Pair, Stage) {
     let stage = stage(seed, eye).expect("a cell");
     let mut pair = Pair::new(stage.clone(), Choice { eye, ..Choice::of(seed) }).expect("a cell");
     assert!(bring_up(&mut pair));
@@ -78,7 +78,7 @@ fn check_table(pair: &Pair, stage: &Stage, seed: u64) {
     }
 }
 
-fn placed_after_a_protective_stop(seed: u64, eye: Eye) {
+fn placed_after_a_protective_stop(seed: u64, eye: SightKind) {
     let (mut pair, stage) = carrying(seed, eye);
     fault(&mut pair, PROTECTIVE_STOP);
     pair.run_until(1.0, |_| false);
@@ -103,16 +103,16 @@ fn placed_after_a_protective_stop(seed: u64, eye: Eye) {
 #[test]
 fn what_is_held_in_a_protective_stop_is_put_down_and_work_goes_on() {
     for seed in 0..12 {
-        placed_after_a_protective_stop(seed, Eye::Corners);
+        placed_after_a_protective_stop(seed, SightKind::Corners);
     }
 }
 
 #[test]
 fn what_is_held_is_put_down_by_pictures_too() {
-    placed_after_a_protective_stop(3, Eye::Pictures);
+    placed_after_a_protective_stop(3, SightKind::Pictures);
 }
 
-fn placed_after_a_restart(seed: u64, eye: Eye) {
+fn placed_after_a_restart(seed: u64, eye: SightKind) {
     let (mut pair, stage) = carrying(seed, eye);
     pair.restart(Loss::Killed).expect("a template");
     let knows = |pair: &Pair| {
@@ -136,18 +136,18 @@ fn placed_after_a_restart(seed: u64, eye: Eye) {
 #[test]
 fn what_was_carried_when_the_daemon_was_killed_is_put_down_by_the_next_one() {
     for seed in 0..12 {
-        placed_after_a_restart(seed, Eye::Corners);
+        placed_after_a_restart(seed, SightKind::Corners);
     }
 }
 
 #[test]
 fn what_was_carried_when_the_daemon_was_killed_is_put_down_by_pictures_too() {
-    placed_after_a_restart(3, Eye::Pictures);
+    placed_after_a_restart(3, SightKind::Pictures);
 }
 
 #[test]
 fn a_choice_unlocks_after_the_controllers_five_seconds_and_not_without_it() {
-    let (mut pair, _) = carrying(1, Eye::Corners);
+    let (mut pair, _) = carrying(1, SightKind::Corners);
     fault(&mut pair, PROTECTIVE_STOP);
     pair.run_until(20.0, |_| false);
     assert!(!safe(&pair), "never by itself");
@@ -175,7 +175,7 @@ fn a_choice_unlocks_after_the_controllers_five_seconds_and_not_without_it() {
 fn an_abort_and_a_stop_end_a_way_back_and_the_object_stays_held() {
     const CABLE: &str = r#"{"do": "net.reset_peer", "args": {"link": "rtde"}}"#;
     for seed in 0..6 {
-        let (mut pair, _) = carrying(seed, Eye::Corners);
+        let (mut pair, _) = carrying(seed, SightKind::Corners);
         fault(&mut pair, PROTECTIVE_STOP);
         pair.run_until(1.0, |_| false);
         pair.order(Order::Recover(WayBack::Place));
@@ -203,10 +203,10 @@ fn an_abort_and_a_stop_end_a_way_back_and_the_object_stays_held() {
 
 #[test]
 fn a_way_back_is_refused_where_it_is_none() {
-    let (mut pair, _) = carrying(2, Eye::Corners);
+    let (mut pair, _) = carrying(2, SightKind::Corners);
     let armed = answer(&mut pair, Order::Recover(WayBack::Retreat));
     assert!(!armed.accepted && armed.message.contains("armed"), "{armed:?}");
-    let (mut pair, _) = carrying(2, Eye::Corners);
+    let (mut pair, _) = carrying(2, SightKind::Corners);
     fault(&mut pair, r#"{"do": "ur.estop"}"#);
     pair.run_until(2.0, |_| false);
     for way in [WayBack::Place, WayBack::Hold, WayBack::Retreat, WayBack::Release] {
@@ -220,7 +220,7 @@ fn a_way_back_is_refused_where_it_is_none() {
     assert_eq!(pair.breaches(), []);
 }
 
-/// How far the tool (m) and any joint (rad) get from where the arm stood, within so many seconds.
+/// How far the tool (m) and any joint (rad) get from where the arm rested, within so many seconds.
 fn travel(pair: &mut Pair, seconds: f64) -> (f64, f64) {
     let place = |pair: &Pair| {
         let q = pair.simulator().core().robot.controller().core.mover.q();
@@ -249,7 +249,7 @@ fn a_program_that_is_resumed_on_the_pendant_does_not_go_on() {
     ];
     for (name, faults, seconds) in cases {
         for seed in 0..6 {
-            let (mut pair, _) = carrying(seed, Eye::Corners);
+            let (mut pair, _) = carrying(seed, SightKind::Corners);
             fault(&mut pair, &format!(r#"{{"do": "ur.pause", "args": {{"seconds": {seconds}}}}}"#));
             pair.run_until(1.0, |_| false);
             faults.iter().for_each(|text| fault(&mut pair, text));
@@ -262,7 +262,7 @@ fn a_program_that_is_resumed_on_the_pendant_does_not_go_on() {
         }
     }
     for seed in 0..6 {
-        let (mut pair, _) = carrying(seed, Eye::Corners);
+        let (mut pair, _) = carrying(seed, SightKind::Corners);
         fault(&mut pair, HUNG);
         fault(&mut pair, r#"{"do": "ur.safeguard", "args": {"seconds": 6}}"#);
         pair.run_until(2.0, |_| false);
@@ -276,7 +276,7 @@ fn a_program_that_is_resumed_on_the_pendant_does_not_go_on() {
 /// and waited for, however long it takes.
 #[test]
 fn a_claimed_register_at_the_start_is_named_and_waited_for() {
-    let stage = stage(1, Eye::Corners).unwrap();
+    let stage = stage(1, SightKind::Corners).unwrap();
     let mut pair = Pair::new(stage, Choice::of(1)).unwrap();
     fault(&mut pair, r#"{"do": "ur.claim", "args": {"input": "input_int_register_24"}}"#);
     for _ in 0..4 {
@@ -298,7 +298,7 @@ fn a_claimed_register_at_the_start_is_named_and_waited_for() {
 #[test]
 fn what_falls_after_a_stop_is_in_the_status_within_half_a_second_with_where() {
     for restarted in [false, true] {
-        let (mut pair, _) = carrying(4, Eye::Corners);
+        let (mut pair, _) = carrying(4, SightKind::Corners);
         pair.order(Order::Abort);
         pair.run_until(4.0, |_| false);
         if restarted {
@@ -323,7 +323,7 @@ fn what_falls_after_a_stop_is_in_the_status_within_half_a_second_with_where() {
 
 #[test]
 fn what_sticks_to_the_cups_is_named_before_the_next_pick_and_moves_on_no_more() {
-    let (mut pair, _) = carrying(0, Eye::Corners);
+    let (mut pair, _) = carrying(0, SightKind::Corners);
     fault(&mut pair, r#"{"do": "vacuum.stick", "args": {"seconds": 300}}"#);
     let ended = pair.reports().len();
     assert!(pair.run_until(60.0, |pair| pair.reports().len() > ended));
@@ -344,7 +344,7 @@ fn what_sticks_to_the_cups_is_named_before_the_next_pick_and_moves_on_no_more() 
 #[test]
 fn a_gripper_that_falls_silent_while_carrying_stops_the_arm_within_300_ms() {
     for seed in 0..6 {
-        let (mut pair, _) = carrying(seed, Eye::Corners);
+        let (mut pair, _) = carrying(seed, SightKind::Corners);
         let stopped =
             |pair: &Pair| pair.notices().iter().any(|notice| notice.text.contains("a stop is ordered"));
         fault(&mut pair, r#"{"do": "net.timeout", "args": {"link": "gripper", "seconds": 30}}"#);
@@ -358,7 +358,7 @@ fn a_gripper_that_falls_silent_while_carrying_stops_the_arm_within_300_ms() {
 fn what_is_lost_on_a_way_back_ends_it() {
     for words in ["on a way back: unlocking", "starting the robot", "looking", "on a way back: putting down"]
     {
-        let (mut pair, _) = carrying(5, Eye::Corners);
+        let (mut pair, _) = carrying(5, SightKind::Corners);
         fault(&mut pair, PROTECTIVE_STOP);
         pair.run_until(1.0, |_| false);
         pair.order(Order::Recover(WayBack::Place));
@@ -382,7 +382,7 @@ fn what_is_lost_on_a_way_back_ends_it() {
 #[test]
 fn a_job_outlives_a_lost_object_as_often_as_the_configuration_lets_it() {
     for (retries, seed) in [(0, 1), (1, 1), (1, 2), (1, 5)] {
-        let mut stage = stage(seed, Eye::Corners).expect("a cell");
+        let mut stage = stage(seed, SightKind::Corners).expect("a cell");
         stage.model.tolerances.stop_retries = retries;
         let mut pair = Pair::new(stage.clone(), Choice::of(seed)).expect("a cell");
         assert!(bring_up(&mut pair));

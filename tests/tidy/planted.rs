@@ -183,6 +183,18 @@ fn wide_comments_are_flagged_and_wide_code_is_not() {
 }
 
 #[test]
+fn things_that_act_like_persons_are_flagged() {
+    let found = |path: &str, text: &str| rules::persons_words(&File::planted(path, text));
+    flagged(
+        found("a.rs", "let told = \"asks\"; // the client asks\n/// It Tells.\nask();"),
+        &["a.rs:1", "a.rs:2"],
+    );
+    flagged(found("a.rs", "// a `told` task, and a mask"), &[]);
+    flagged(found("a.md", "It was told.\n\n    celld ask\n\nThe `ask` of it."), &["a.md:1"]);
+    flagged(found("a.yaml", "# it asks"), &[]);
+}
+
+#[test]
 fn a_dependency_without_a_reason_is_flagged_and_so_is_a_reason_without_a_dependency() {
     let root = "[workspace.dependencies]\nown = { path = \"crates/own\" }\none = \"1\"\n\
                 two = { version = \"2\" }\n\

@@ -390,6 +390,40 @@ pub fn wide_comments(file: &File, most: usize) -> Vec<String> {
     found.map(|(number, _)| format!("{}:{}: a comment beyond column {most}", file.path, number + 1)).collect()
 }
 
+/// What people do and things do not: in comments and pages a subject requests, reports or receives.
+const PERSONS_WORDS: [&str; 12] = [
+    "ask", "asks", "asked", "asking", "tell", "tells", "told", "hear", "hears", "heard", "somebody",
+    "someone",
+];
+
+/// Comments and pages in which things act like persons. Quoted code may say what it likes.
+pub fn persons_words(file: &File) -> Vec<String> {
+    let is_rust = file.path.ends_with(".rs");
+    if !is_rust && !file.path.ends_with(".md") {
+        return Vec::new();
+    }
+    let code = if is_rust { scan::blank_comments_and_literals(&file.text) } else { String::new() };
+    let prose = |number: usize, line: &str| -> String {
+        let from = if is_rust {
+            let kept = code.lines().nth(number).unwrap_or("").trim_end();
+            let rest = line.get(kept.len()..).unwrap_or("").trim_start();
+            if rest.starts_with("//") { rest } else { "" }
+        } else if line.starts_with("    ") {
+            ""
+        } else {
+            line
+        };
+        from.split('`').step_by(2).collect::<Vec<_>>().join(" ")
+    };
+    let found = |(number, line): (usize, &str)| {
+        let prose = prose(number, line).to_lowercase();
+        let mut words = prose.split(|c: char| !c.is_alphanumeric());
+        let word = words.find(|word| PERSONS_WORDS.contains(word))?;
+        Some(format!("{}:{}: things do not {word:?}", file.path, number + 1))
+    };
+    file.text.lines().enumerate().filter_map(found).collect()
+}
+
 /// For each line of a Python file, whether it belongs to a text in three quotes.
 fn docstring_lines(text: &str) -> Vec<bool> {
     let mut inside = false;

@@ -6,7 +6,7 @@
 //! samples into camera, table and lens, with their errors; `taken` is a whole round and what comes of it,
 //! `tied` holds touches against it; `files` keeps the results as text and checks whether they fit together.
 //! Pure: the arm is moved by the machine (`cell_machine::supervisor::round`), files are read and written by
-//! `config`, people are asked by `cli::calibrate`, and OpenCV is called by `cell_vision::cv` alone.
+//! `config`, people are prompted by `cli::calibrate`, and OpenCV is called by `cell_vision::cv` alone.
 
 pub mod board_pictures;
 pub mod drawn;

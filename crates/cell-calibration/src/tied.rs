@@ -7,7 +7,7 @@
 use crate::files::hand_eye::Provenance;
 use crate::files::touches::Touches;
 use crate::fit::HandEye;
-use crate::fit::touch::{Registration, RegistrationLimits, TouchFit, TouchSettings, fit_touches, tie};
+use crate::fit::touch::{Registration, RegistrationLimits, TouchFit, TouchSettings, fit_touches, register};
 use cell_vision::observe::ReferenceMarker;
 use nalgebra::Point3;
 use rearrange::document::chain::chain;
@@ -82,7 +82,7 @@ impl FittedTouches {
     ///
     /// # Errors
     /// The two disagree by more than the limits.
-    pub fn tie(
+    pub fn register(
         &self,
         camera: &HandEye,
         table_m: [f64; 2],
@@ -90,7 +90,7 @@ impl FittedTouches {
     ) -> Result<Registration, TiedFault> {
         let middle = Point3::new(table_m[0] / 2.0, table_m[1] / 2.0, 0.0);
         let by_camera = (&camera.base_from_table, &camera.base_from_table_covariance);
-        tie(by_camera, &self.fit, &middle, limits)
+        register(by_camera, &self.fit, &middle, limits)
             .map_err(|error| TiedFault::Unfit(format!("{}: {}", self.name, chain(&error))))
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! In: the points, the tip, the arm; at each point where the arm's joints are and how fast they move. Out:
 //! [`Touches`], and the table by them alone. A touch counts only while the arm is at rest, for its pose and
-//! the press of a key are not of one moment. Pure: the person is asked by `cli::calibrate::touch`.
+//! the press of a key are not of one moment. Pure: the person is prompted by `cli::calibrate::touch`.
 
 use crate::files::touches::{Place, RecordedTouch, Target, Touches};
 use crate::fit::touch::{TouchFit, TouchSettings, fit_touches};

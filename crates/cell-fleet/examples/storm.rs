@@ -250,7 +250,7 @@ async fn storm(options: &Options) -> bool {
             }
             (before, at) = (over, Instant::now());
         }
-        storm.trouble(over).await;
+        storm.disturbance(over).await;
     }
     let new = submitting.await.unwrap();
     let (seconds, over) = (begun.elapsed().as_secs_f64(), storm.seen.over);
@@ -278,7 +278,7 @@ impl Storm<'_> {
     }
 
     /// What is due when so many jobs are over: evenly over the jobs, whatever the speed.
-    async fn trouble(&mut self, over: usize) {
+    async fn disturbance(&mut self, over: usize) {
         let Options { jobs, kills, server_kills, nodes, cells, .. } = *self.options;
         let due = |done: usize, all: usize| {
             done < all && over >= (done + 1) * jobs.checked_div(all + 1).unwrap_or(usize::MAX).max(1)

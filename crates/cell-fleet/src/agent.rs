@@ -10,7 +10,7 @@ use crate::payloads::{Job, PayloadFault, What, sentence, sha256};
 use crate::steward::Steward;
 use crate::subjects::{Fleet, JobSubject};
 use crate::values::{At, Effect, Entry, Input, Kept, Settle, Token, Who};
-use crate::world::{Member, Settings, World};
+use crate::world::{KnownCell, Settings, World};
 use cell_values::time::{Duration, Timestamp};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -99,7 +99,7 @@ impl Agent {
             Input::ClaimsKnown => self.steward.complete(),
             Input::Cell { name, state, unix_s } => {
                 match state {
-                    Some(state) => self.world.members.insert(name, Member { state: *state, unix_s }),
+                    Some(state) => self.world.members.insert(name, KnownCell { state: *state, unix_s }),
                     None => self.world.members.remove(&name),
                 };
             }
@@ -190,7 +190,7 @@ impl Agent {
     fn leave(&mut self, token: Token, about: &'static str, message: String) {
         if self.complaints.get(about) != Some(&message) {
             let what = What::Fault { code: format!("foreign_{about}"), message: message.clone() };
-            self.world.want(Effect::Tell { job: None, what });
+            self.world.want(Effect::Report { job: None, what });
             self.complaints.insert(about, message);
         }
         self.world.want(Effect::Settle(token, Settle::Back(OTHER_VERSION)));

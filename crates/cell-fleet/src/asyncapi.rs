@@ -6,7 +6,7 @@
 use crate::files::FileKind;
 use crate::fragments::FRAGMENT_MAX;
 use crate::payloads::{JOB_TEXT_MAX, PAYLOAD_MAX, VERSION, What};
-use crate::subjects::{Asked, JOB_ID_MAX, NAME_MAX, Priority, ROOT};
+use crate::subjects::{JOB_ID_MAX, NAME_MAX, Priority, ROOT, RequestKind};
 use serde_json::{Map, Value, json};
 
 /// The document.
@@ -41,7 +41,7 @@ fn parameter(name: &str) -> Value {
     let words = |words: Vec<&str>| json!({ "enum": words });
     match name {
         "priority" => words(Priority::ALL.into_iter().map(Priority::as_str).collect()),
-        "asked" => words(Asked::ALL.into_iter().map(Asked::as_str).collect()),
+        "asked" => words(RequestKind::ALL.into_iter().map(RequestKind::as_str).collect()),
         "kind" => words(What::KINDS.to_vec()),
         "target" => json!({ "description": "`cell.NAME`, or `label.NAME`; every cell has the label `any`" }),
         "job" => json!({ "description": "a job's id with `=` for each dot" }),
@@ -94,17 +94,17 @@ fn channels() -> Value {
 
 fn operations() -> Value {
     let operation = |action: &str, channel: &str, summary: &str| json!({ "action": action, "channel": { "$ref": format!("#/channels/{channel}") }, "summary": summary });
-    let mut ask = operation(
+    let mut request = operation(
         "send",
         "ask",
         "agree to a plan, refuse it, give a job up, or have its files put into the object store celld-FLEET-files",
     );
-    ask["reply"] = json!({ "messages": [{ "$ref": "#/components/messages/answer" }] });
+    request["reply"] = json!({ "messages": [{ "$ref": "#/components/messages/answer" }] });
     json!({
         "submit": operation("send", "jobs", "submit a job"),
         "cancel": operation("send", "cancels", "cancel a job"),
         "give": operation("send", "gives", "give a job to another cell"),
-        "ask": ask,
+        "ask": request,
         "follow": operation("receive", "events", "what happens in the cells"),
         "see": operation("receive", "cells", "the state of each cell"),
         "publish": operation("send", "fragments", "publish a part of a configuration, or take it back by an empty text"),

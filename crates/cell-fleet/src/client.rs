@@ -8,10 +8,10 @@ use crate::connect::{ANSWER_WITHIN, Access, ConnectFault, connect};
 use crate::files::FileKind;
 use crate::network::{entries, refusal_sentence, unix_s};
 use crate::payloads::{
-    Answer, Ask, CellState, Claim, ClaimState, Event, Job, Refusal, VERSION, Wish, decode, encode,
+    Answer, CellState, Claim, ClaimState, Event, Job, Refusal, Request, VERSION, Wish, decode, encode,
 };
 use crate::server::{Server, Storage, open};
-use crate::subjects::{Asked, Fleet, Key, Lane};
+use crate::subjects::{Fleet, Key, Lane, RequestKind};
 use crate::words::unix_s_of;
 use async_nats::Client as Connection;
 use async_nats::jetstream::consumer::{DeliverPolicy, pull};
@@ -387,34 +387,45 @@ impl Client {
         }
     }
 
-    /// Asks a cell something and waits for what it decides; `plan` is the number of the plan to approve.
+    /// Sends a request to a cell and waits for what it decides; `plan` is the number of the plan to approve.
     ///
     /// # Errors
     /// The cell is not there, or its answer is not readable.
-    pub async fn ask(
+    pub async fn request(
         &self,
         cell: &str,
-        asked: Asked,
+        requested: RequestKind,
         job: &str,
         plan: Option<u64>,
     ) -> Result<Answer, String> {
-        let ask = Ask { version: VERSION, job: job.to_string(), plan, files: Vec::new() };
-        self.request(cell, asked, &ask, ORDER_WITHIN).await
+        let request = Request { version: VERSION, job: job.to_string(), plan, files: Vec::new() };
+        self.send_request(cell, requested, &request, ORDER_WITHIN).await
     }
 
-    /// Asks a cell to put files of a job into the object store; their names are in the answer.
+    /// Requests that a cell puts files of a job into the object store; their names are in the answer.
     ///
     /// # Errors
-    /// As [`Client::ask`].
-    pub async fn ask_for_files(&self, cell: &str, job: &str, kinds: &[FileKind]) -> Result<Answer, String> {
+    /// As [`Client::request`].
+    pub async fn request_for_files(
+        &self,
+        cell: &str,
+        job: &str,
+        kinds: &[FileKind],
+    ) -> Result<Answer, String> {
         let files = kinds.iter().map(|kind| kind.as_str().to_string()).collect();
-        let ask = Ask { version: VERSION, job: job.to_string(), plan: None, files };
-        self.request(cell, Asked::Send, &ask, FILES_WITHIN).await
+        let request = Request { version: VERSION, job: job.to_string(), plan: None, files };
+        self.send_request(cell, RequestKind::Send, &request, FILES_WITHIN).await
     }
 
-    async fn request(&self, cell: &str, asked: Asked, ask: &Ask, within: Duration) -> Result<Answer, String> {
-        let bytes = encode(ask).map_err(text)?;
-        let subject = self.fleet.ask(cell, asked, &self.user);
+    async fn send_request(
+        &self,
+        cell: &str,
+        requested: RequestKind,
+        request: &Request,
+        within: Duration,
+    ) -> Result<Answer, String> {
+        let bytes = encode(request).map_err(text)?;
+        let subject = self.fleet.request(cell, requested, &self.user);
         let request = async_nats::Request::new().payload(bytes.into()).timeout(Some(within));
         let answer = self.permitted("to cells", self.connection.send_request(subject, request)).await?;
         let answer = answer.map_err(|error| {

@@ -1,4 +1,4 @@
-//! Files of a job in the server's object store: a cell puts them there when a person asks for them.
+//! Files of a job in the server's object store: a cell puts them there when a person requests them.
 //!
 //! In: files on the cell's disk or made for it. Out: objects `CELL/JOB/NAME` in the bucket
 //! `celld-FLEET-files`, kept for a week. A name is one plain token and no path.
@@ -17,7 +17,7 @@ use std::task::Poll;
 use std::time::Duration;
 use tokio::io::{AsyncRead, ReadBuf};
 
-/// What is in the bucket is for who asked for it.
+/// What is in the bucket is for who requested it.
 const KEPT: Duration = Duration::from_secs(7 * 86_400);
 
 /// Bytes of the bucket: with streams and buckets of the usual sizes below the 10 GB of docs/fleet.md.
@@ -32,7 +32,7 @@ const FILE_NAME_MAX: usize = 200;
 /// Read at once.
 pub(crate) const CHUNK: usize = 128 * 1024;
 
-/// What can be asked for.
+/// What can be requested.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum FileKind {
     /// The plan as a drawing.
@@ -120,7 +120,7 @@ async fn bucket(context: &Context, fleet: &Fleet, replicas: usize) -> Result<Obj
     }
 }
 
-/// A reader that reads where it is asked: on a thread that has nothing else to do.
+/// A reader that reads where it is called: on a thread that has nothing else to do.
 struct Blocking<R>(R);
 
 impl<R: Read + Unpin> AsyncRead for Blocking<R> {
@@ -182,7 +182,7 @@ fn is_full(fault: &str) -> bool {
     fault.contains("no room left")
 }
 
-/// Removes the older half of what others have asked for: it can be asked for again. False where nothing
+/// Removes the older half of what others have requested: it can be requested again. False where nothing
 /// went.
 async fn make_room(store: &ObjectStore) -> bool {
     let Ok(list) = store.list().await else { return false };

@@ -1,9 +1,10 @@
 //! The jobs that a cell has in hand: from a pulled message to the end that is reported to the fleet.
 //!
-//! In: answers to what was asked. Out: what to do next. One job at a time is pulled; the order of its way is
-//! fixed: judged, noted as wanted, claimed in the bucket, noted as claimed, settled with the queue, set to
-//! begun in the bucket, noted as begun, handed into the spool. Whatever is cut off on this way is taken up
-//! from the own database and the claim: [`Hand::resume`] is the one place that compares them. Pure.
+//! In: answers to what was requested. Out: what to do next. One job at a time is pulled; the order of its
+//! way is fixed: judged, noted as wanted, claimed in the bucket, noted as claimed, settled with the queue,
+//! set to begun in the bucket, noted as begun, handed into the spool. Whatever is cut off on this way is
+//! taken up from the own database and the claim: [`Hand::resume`] is the one place that compares them.
+//! Pure.
 
 mod fresh;
 mod running;
@@ -353,7 +354,7 @@ impl Hand {
             }
             Err(message) => {
                 let what = What::Fault { code: "spool".to_string(), message };
-                world.want(Effect::Tell { job: Some(self.id().to_string()), what });
+                world.want(Effect::Report { job: Some(self.id().to_string()), what });
                 self.later(world, AGAIN);
             }
         }
@@ -391,11 +392,11 @@ impl Hand {
 
     fn is_due_to_read(&self, world: &World) -> bool {
         let due = world.at.now.since(self.read_at) >= READ_EVERY;
-        let told = world.wishes.keys().any(|key| match key {
+        let announced = world.wishes.keys().any(|key| match key {
             Key::Give { job, .. } => job == self.id(),
             _ => false,
         });
-        let soon = told && world.at.now.since(self.read_at) >= AGAIN;
+        let soon = announced && world.at.now.since(self.read_at) >= AGAIN;
         world.connected && (due || soon)
     }
 
@@ -422,7 +423,7 @@ impl Hand {
         }
     }
 
-    /// The connection was lost or is there again: what was asked before may have been answered or not.
+    /// The connection was lost or is there again: what was requested before may have been answered or not.
     pub fn reconnected(&mut self, world: &mut World) {
         self.read_at = Timestamp::ZERO;
         match self.step {

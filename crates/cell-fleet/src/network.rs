@@ -63,7 +63,7 @@ impl Network {
         Network { fleet, cell, server, news }
     }
 
-    pub(crate) fn tell(&self, news: News) {
+    pub(crate) fn report(&self, news: News) {
         // The loop has ended.
         let _ = self.news.send(news);
     }
@@ -75,7 +75,7 @@ impl Network {
     /// Says about something that it goes, or why not.
     fn said<T, E: std::fmt::Display>(&self, about: &'static str, result: &Result<T, E>) {
         let text = result.as_ref().err().map(|error| refusal_sentence(about, &error.to_string()));
-        self.tell(News::Complaint(about, text.unwrap_or_default()));
+        self.report(News::Complaint(about, text.unwrap_or_default()));
     }
 
     /// To settle messages with.
@@ -88,7 +88,7 @@ impl Network {
         let Ok(bytes) = encode(answer) else { return };
         let client = self.server.context.client();
         self.spawn(async move {
-            // Who asked may have gone.
+            // Who requested it may have gone.
             let _ = client.publish(to, bytes.into()).await;
         });
     }
@@ -102,12 +102,12 @@ impl Network {
                 Ok(Ok(entry)) => {
                     let found = claim_of(entry);
                     let foreign = if found.is_err() { foreign_sentence(&job) } else { String::new() };
-                    this.tell(News::Complaint("claims of another version", foreign));
+                    this.report(News::Complaint("claims of another version", foreign));
                     found
                 }
                 Ok(Err(_)) | Err(_) => Err(()),
             };
-            this.tell(News::Input(Input::Read { job, found }));
+            this.report(News::Input(Input::Read { job, found }));
         });
     }
 
@@ -117,8 +117,8 @@ impl Network {
         self.spawn(async move {
             let job = claim.job.id.clone();
             let (outcome, fault) = this.set(&claim, over).await;
-            this.tell(News::Complaint("claims", fault.unwrap_or_default()));
-            this.tell(News::Input(Input::Written { who, job, outcome }));
+            this.report(News::Complaint("claims", fault.unwrap_or_default()));
+            this.report(News::Input(Input::Written { who, job, outcome }));
         });
     }
 
@@ -167,14 +167,14 @@ impl Network {
     pub fn publish(&self, claim: &Claim) {
         let job = claim.job.id.clone();
         let (Some(lane), Ok(bytes)) = (claim.lane(), encode(&claim.job)) else {
-            return self.tell(News::Input(Input::Published { job, stored: false }));
+            return self.report(News::Input(Input::Published { job, stored: false }));
         };
         let (subject, id) = (self.fleet.job(&lane, &claim.by), claim.job.message_id());
         let this = self.clone();
         self.spawn(async move {
             let result = this.store(subject, &id, bytes).await;
             this.said("queue", &result);
-            this.tell(News::Input(Input::Published { job, stored: result.is_ok() }));
+            this.report(News::Input(Input::Published { job, stored: result.is_ok() }));
         });
     }
 
@@ -219,8 +219,10 @@ impl Network {
             Ok(bytes) => bytes,
             Err(fault) => {
                 // Others take this cell for away.
-                return self
-                    .tell(News::Complaint("cells", format!("the state of this cell is not shown: {fault}")));
+                return self.report(News::Complaint(
+                    "cells",
+                    format!("the state of this cell is not shown: {fault}"),
+                ));
             }
         };
         let this = self.clone();
@@ -243,14 +245,14 @@ impl Network {
                     Err(fault) => Err(fault.to_string()),
                 };
                 match stored {
-                    Ok(()) => this.tell(News::Delivered(event.number)),
+                    Ok(()) => this.report(News::Delivered(event.number)),
                     Err(message) => {
                         let sentence = refusal_sentence("events", &message);
-                        return this.tell(News::DeliveryOver(Some(sentence)));
+                        return this.report(News::DeliveryOver(Some(sentence)));
                     }
                 }
             }
-            this.tell(News::DeliveryOver(None));
+            this.report(News::DeliveryOver(None));
         });
     }
 }

@@ -5,7 +5,7 @@
 //! within a version, and what a reader does not know it leaves out; whatever changes the meaning of one that
 //! is there is another version, which is refused with both numbers. Pure.
 
-pub use crate::asks::{Answer, Ask};
+pub use crate::requests::{Answer, Request};
 use crate::subjects::{Lane, is_job_id};
 pub use crate::words::{sentence, sha256};
 use serde::de::DeserializeOwned;
@@ -134,7 +134,7 @@ impl Job {
         Ok(job)
     }
 
-    /// What [`Job::read`] asks of a job, for who submits one.
+    /// What [`Job::read`] requires of a job, for who submits one.
     ///
     /// # Errors
     /// As [`Job::read`].

@@ -166,7 +166,7 @@ impl Puller {
         let expires = (!no_wait).then_some(EXPIRES);
         let batch = BatchConfig { batch: 1, expires, no_wait, ..BatchConfig::default() };
         let inbox = format!("{}.{lane}", self.inbox);
-        // The connection is away: what is asked now goes out when it is back, or runs out.
+        // The connection is away: what is requested now goes out when it is back, or runs out.
         if consumer.request_batch(batch, inbox.into()).await.is_err() {
             tokio::time::sleep(AGAIN).await;
         }
@@ -212,7 +212,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_lane_without_a_consumer_is_not_asked_again_at_once() {
+    fn a_lane_without_a_consumer_is_not_requested_again_at_once() {
         assert!(ends_a_request(None) && ends_a_request(Some(StatusCode::NOT_FOUND)));
         assert!(ends_a_request(Some(StatusCode::TIMEOUT)));
         assert!(!ends_a_request(Some(StatusCode::NO_RESPONDERS)));

@@ -9,11 +9,11 @@ use crate::files::{self, FileKind};
 use crate::fragments::Shelf;
 use crate::link::{Link, keep_linked};
 use crate::network::{Network, News};
-use crate::payloads::{Answer, Ask, CellState, VERSION, What, decode, sentence};
+use crate::payloads::{Answer, CellState, Request, VERSION, What, decode, sentence};
 use crate::pull::pull;
 use crate::side::{CellEvent, CellSide, FragmentState, Settings};
 use crate::store::Store;
-use crate::subjects::Asked;
+use crate::subjects::RequestKind;
 use crate::values::{At, Effect, Entry, Input, Settle, Token, Written};
 use crate::watches::ALL_CLAIMS;
 use crate::world;
@@ -91,7 +91,7 @@ pub async fn run(settings: Settings, mut cell: Box<dyn CellSide>, stop: Arc<Atom
         found_sender,
         messages: BTreeMap::new(),
         last_token: 0,
-        asks: None,
+        requests: None,
         shelf: Shelf::default(),
         shelf_known: false,
         sending: Arc::new(Semaphore::new(1)),
@@ -123,7 +123,7 @@ struct Shell {
     found_sender: mpsc::UnboundedSender<Message>,
     messages: BTreeMap<Token, jetstream::Message>,
     last_token: Token,
-    asks: Option<Subscriber>,
+    requests: Option<Subscriber>,
     shelf: Shelf,
     /// All fragments that there were have come.
     shelf_known: bool,
@@ -143,9 +143,9 @@ fn unix_now_s() -> f64 {
 }
 
 /// The next request of a person; never, while there is no connection.
-async fn next_ask(asks: &mut Option<Subscriber>) -> Option<Message> {
-    match asks {
-        Some(asks) => asks.next().await,
+async fn next_request(requests: &mut Option<Subscriber>) -> Option<Message> {
+    match requests {
+        Some(requests) => requests.next().await,
         None => std::future::pending().await,
     }
 }
@@ -168,9 +168,9 @@ impl Shell {
                 Some(news) = news.recv() => self.news(news),
                 Some(message) = found.recv() => self.found(message),
                 Some(link) = link.recv() => self.link(link).await,
-                ask = next_ask(&mut self.asks) => match ask {
-                    Some(message) => self.ask(message),
-                    None => self.asks = None,
+                request = next_request(&mut self.requests) => match request {
+                    Some(message) => self.request(message),
+                    None => self.requests = None,
                 },
                 _ = looks.tick() => self.look(),
                 () = tokio::time::sleep(wake) => self.handle(Input::Time),
@@ -219,8 +219,8 @@ impl Shell {
                 Ok(state) => answers.push(Input::Local { job, state }),
                 Err(message) => self.complain("journal", Some(message)),
             },
-            Effect::Cancel { job, by } => drop(self.cell.order(Asked::Cancel, &job, None, &by)),
-            Effect::Tell { job, what } => self.note(job, what, unix_now_s()),
+            Effect::Cancel { job, by } => drop(self.cell.order(RequestKind::Cancel, &job, None, &by)),
+            Effect::Report { job, what } => self.note(job, what, unix_now_s()),
             Effect::Pull(on) => self.wanted.send_modify(|wanted| {
                 // From even to odd and back, and on to the next odd number for the next job.
                 *wanted += if on == (*wanted % 2 == 1) { 2 } else { 1 };
@@ -261,7 +261,7 @@ impl Shell {
     }
 
     fn note(&mut self, job: Option<String>, what: What, unix_s: f64) {
-        let noted = self.store.tell(job, what, unix_s);
+        let noted = self.store.record(job, what, unix_s);
         self.complain("database", noted.err().map(|error| error.to_string()));
     }
 
@@ -339,7 +339,7 @@ impl Shell {
                 (self.shelf, self.shelf_known) = (Shelf::default(), false);
                 let (client, server, consumers) = *ready;
                 let (fleet, cell) = (self.settings.fleet.clone(), self.settings.cell.clone());
-                self.asks = client.subscribe(fleet.asks_of(&cell)).await.ok();
+                self.requests = client.subscribe(fleet.requests_of(&cell)).await.ok();
                 let network = Network::new(fleet, cell, server, self.news_sender.clone());
                 self.tasks.extend(network.watch());
                 self.wanted = watch::channel(0).0;
@@ -357,32 +357,32 @@ impl Shell {
     fn drop_tasks(&mut self) {
         self.tasks.drain(..).chain(self.following.take()).for_each(|task| task.abort());
         self.messages.clear();
-        self.asks = None;
+        self.requests = None;
     }
 
-    /// A person asks something of the cell.
-    fn ask(&mut self, message: Message) {
+    /// A person requests something of the cell.
+    fn request(&mut self, message: Message) {
         let (Some(reply), Some(network)) = (message.reply.clone(), self.network.clone()) else { return };
-        let read = self.settings.fleet.read_ask(&message.subject, &self.settings.cell);
-        let read = read.map_err(|fault| fault.to_string()).and_then(|(asked, by)| {
-            let ask: Ask = decode(&message.payload).map_err(|fault| fault.to_string())?;
-            if asked == Asked::Approve && ask.plan.is_none() {
+        let read = self.settings.fleet.read_request(&message.subject, &self.settings.cell);
+        let read = read.map_err(|fault| fault.to_string()).and_then(|(requested, by)| {
+            let request: Request = decode(&message.payload).map_err(|fault| fault.to_string())?;
+            if requested == RequestKind::Approve && request.plan.is_none() {
                 return Err("not approved: the request names no plan by its number".to_string());
             }
-            Ok((asked, by, ask))
+            Ok((requested, by, request))
         });
         match read {
             Err(fault) => network.reply(reply, &answer(false, fault)),
-            Ok((Asked::Send, _, Ask { job, files, .. })) => self.send(network, reply, job, &files),
-            Ok((asked, by, Ask { job, plan, .. })) => {
-                let ordered = self.cell.order(asked, &job, plan, &by);
+            Ok((RequestKind::Send, _, Request { job, files, .. })) => self.send(network, reply, job, &files),
+            Ok((requested, by, Request { job, plan, .. })) => {
+                let ordered = self.cell.order(requested, &job, plan, &by);
                 let news = self.news_sender.clone();
                 tokio::spawn(async move {
                     let gone = (false, "celld is ending; nothing is known of the order".to_string());
                     let (accepted, text) = ordered.await.unwrap_or(gone);
                     network.reply(reply, &answer(accepted, text));
-                    if accepted && asked != Asked::Cancel {
-                        let what = What::Approved { by, agreed: asked == Asked::Approve };
+                    if accepted && requested != RequestKind::Cancel {
+                        let what = What::Approved { by, agreed: requested == RequestKind::Approve };
                         let _ = news.send(News::Happened(job, what));
                     }
                 });
@@ -423,7 +423,7 @@ impl Shell {
             };
             network.reply(reply, &said);
         };
-        // No thread: who asks gets no answer, and asks again.
+        // No thread: the request gets no answer, and is repeated.
         let _ = std::thread::Builder::new().name("fleet files".to_string()).spawn(work);
     }
 

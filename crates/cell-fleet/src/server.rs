@@ -50,7 +50,7 @@ const WAITING_MOST: i64 = 4096;
 /// A fleet's streams and buckets.
 #[derive(Clone, Debug)]
 pub struct Server {
-    /// To publish and to ask.
+    /// To publish and to request.
     pub context: Context,
     /// The queue.
     pub jobs: Stream,

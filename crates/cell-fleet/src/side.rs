@@ -1,6 +1,6 @@
 //! The cell as its part in the fleet sees it, and what the configuration says of that part.
 //!
-//! In and out: what [`crate::run`] asks of the daemon: state, events, the journal, the spool, orders.
+//! In and out: what [`crate::run`] needs from the daemon: state, events, the journal, the spool, orders.
 //! Nothing of it arms, resumes, recovers or releases.
 
 use crate::connect::Access;
@@ -9,7 +9,7 @@ use crate::fragments::Wanted;
 use crate::payloads::{CellState, Job, What};
 use crate::server::Storage;
 use crate::store::Limits;
-use crate::subjects::{Asked, Fleet};
+use crate::subjects::{Fleet, RequestKind};
 use crate::values::Local;
 use std::path::PathBuf;
 use tokio::sync::oneshot;
@@ -17,8 +17,8 @@ use tokio::sync::oneshot;
 /// What an order is answered with, later.
 pub type Ordered = oneshot::Receiver<(bool, String)>;
 
-/// Files that are asked for, later.
-pub type FilesAsked = oneshot::Receiver<Result<Vec<FileToSend>, String>>;
+/// Files that are requested, later.
+pub type FilesRequested = oneshot::Receiver<Result<Vec<FileToSend>, String>>;
 
 /// Where a cell is with its configuration fragment.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -70,10 +70,10 @@ pub trait CellSide: Send {
 
     /// Gives an order in the name of a person; the answer comes after it was decided. To approve goes with
     /// the number of the plan that the person was shown.
-    fn order(&mut self, asked: Asked, job: &str, plan: Option<u64>, by: &str) -> Ordered;
+    fn order(&mut self, requested: RequestKind, job: &str, plan: Option<u64>, by: &str) -> Ordered;
 
     /// The files of a job, of these kinds; nothing waits for them.
-    fn files(&mut self, job: &str, kinds: &[FileKind]) -> FilesAsked;
+    fn files(&mut self, job: &str, kinds: &[FileKind]) -> FilesRequested;
 
     /// What the cell should run with; it takes that when it is idle and disarmed, by starting anew. `None`:
     /// nothing is known of it.

@@ -202,7 +202,7 @@ impl Store {
     ///
     /// # Errors
     /// SQLite.
-    pub fn tell(&mut self, job: Option<String>, what: What, unix_s: f64) -> Result<Event, StoreError> {
+    pub fn record(&mut self, job: Option<String>, what: What, unix_s: f64) -> Result<Event, StoreError> {
         let missed = self.missed.clone();
         let mut outcomes = missed.outcomes;
         if let What::Done { outcome } = &what {
@@ -413,16 +413,16 @@ mod tests {
     fn events_stay_in_order_until_delivered_and_go_on_after_a_restart() {
         let folder = tempfile::tempdir().unwrap();
         let mut store = open(folder.path(), Limits::USUAL);
-        (0..5).for_each(|n| drop(store.tell(None, fault("a"), f64::from(n)).unwrap()));
+        (0..5).for_each(|n| drop(store.record(None, fault("a"), f64::from(n)).unwrap()));
         store.delivered(2).unwrap();
         assert_eq!(numbers(&store), [3, 4, 5]);
         drop(store);
         let mut store = open(folder.path(), Limits::USUAL);
-        let event = store.tell(Some("tidy".into()), fault("b"), 9.0).unwrap();
+        let event = store.record(Some("tidy".into()), fault("b"), 9.0).unwrap();
         assert_eq!((event.number, event.series.as_str()), (6, "first"));
         store.delivered(6).unwrap();
         assert_eq!((store.waiting().unwrap(), numbers(&store)), (0, vec![]));
-        assert_eq!(store.tell(None, fault("c"), 10.0).unwrap().number, 7, "no number is given twice");
+        assert_eq!(store.record(None, fault("c"), 10.0).unwrap().number, 7, "no number is given twice");
     }
 
     #[test]
@@ -430,7 +430,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut store = open(folder.path(), Limits { bytes: 20_000, days: 7.0 });
         for n in 1..=500_u32 {
-            store.tell(None, fault(&"a".repeat(100)), f64::from(n)).unwrap();
+            store.record(None, fault(&"a".repeat(100)), f64::from(n)).unwrap();
             let bytes: i64 =
                 store.database.query_row("SELECT event_bytes FROM about", [], |row| row.get(0)).unwrap();
             assert!(bytes <= 20_500, "{bytes}");
@@ -459,7 +459,7 @@ mod tests {
             lower_bound: None,
             seconds: 1.0,
         };
-        store.tell(None, fault("a"), 1.0).unwrap();
+        store.record(None, fault("a"), 1.0).unwrap();
         // SQLite's own limit: beyond it a write fails as on a full disk.
         let pages = |store: &Store, most: &str| {
             let pragma = format!("PRAGMA max_page_count={most}");
@@ -467,13 +467,13 @@ mod tests {
         };
         pages(&store, "1");
         let mut taken = 1;
-        while store.tell(None, fault(&"b".repeat(500)), 2.0).is_ok() {
+        while store.record(None, fault(&"b".repeat(500)), 2.0).is_ok() {
             taken += 1;
         }
-        store.tell(None, What::Done { outcome: outcome.clone() }, 3.0).unwrap_err();
-        store.tell(None, fault(&"b".repeat(500)), 4.0).unwrap_err();
+        store.record(None, What::Done { outcome: outcome.clone() }, 3.0).unwrap_err();
+        store.record(None, fault(&"b".repeat(500)), 4.0).unwrap_err();
         pages(&store, "1000000");
-        let event = store.tell(None, What::Done { outcome }, 5.0).unwrap();
+        let event = store.record(None, What::Done { outcome }, 5.0).unwrap();
         assert_eq!(event.number, taken + 4);
         whole(&store, taken + 4);
         let gaps = store.undelivered(u32::MAX).unwrap().into_iter();
@@ -488,7 +488,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut store = open(folder.path(), Limits::USUAL);
         for day in 0..30 {
-            store.tell(None, fault("a"), f64::from(day) * DAY).unwrap();
+            store.record(None, fault("a"), f64::from(day) * DAY).unwrap();
         }
         whole(&store, 30);
         assert_eq!(store.undelivered(100).unwrap().len(), 1 + 8);
@@ -534,8 +534,8 @@ mod tests {
                 ..Outcome::default()
             },
         };
-        store.tell(Some("a".into()), done("done"), 1.0).unwrap();
-        store.tell(Some("b".into()), done("failed"), 2.0).unwrap();
+        store.record(Some("a".into()), done("done"), 1.0).unwrap();
+        store.record(Some("b".into()), done("failed"), 2.0).unwrap();
         let totals = Totals { done: 1, failed: 1, moves: 8, bound: 6.0, seconds: 40.0 };
         assert_eq!(store.totals().unwrap(), totals);
     }

@@ -187,9 +187,9 @@ impl Lane {
     }
 }
 
-/// What may be asked of a cell from afar; nothing that arms, resumes, recovers or releases is among it.
+/// What may be requested of a cell from afar; nothing that arms, resumes, recovers or releases is among it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Asked {
+pub enum RequestKind {
     /// Agree to the plan that waits.
     Approve,
     /// Refuse it.
@@ -200,17 +200,18 @@ pub enum Asked {
     Send,
 }
 
-impl Asked {
+impl RequestKind {
     /// All of them.
-    pub const ALL: [Asked; 4] = [Asked::Approve, Asked::Reject, Asked::Cancel, Asked::Send];
+    pub const ALL: [RequestKind; 4] =
+        [RequestKind::Approve, RequestKind::Reject, RequestKind::Cancel, RequestKind::Send];
 
     /// The token.
     pub fn as_str(self) -> &'static str {
         match self {
-            Asked::Approve => "approve",
-            Asked::Reject => "reject",
-            Asked::Cancel => "cancel",
-            Asked::Send => "send",
+            RequestKind::Approve => "approve",
+            RequestKind::Reject => "reject",
+            RequestKind::Cancel => "cancel",
+            RequestKind::Send => "send",
         }
     }
 }
@@ -280,7 +281,7 @@ impl Fleet {
         format!("celld-{}-cells", self.name)
     }
 
-    /// The bucket of files that persons asked for.
+    /// The bucket of files that persons requested.
     pub fn files_bucket(&self) -> String {
         format!("celld-{}-files", self.name)
     }
@@ -316,13 +317,13 @@ impl Fleet {
         format!("{ROOT}.{}.event.{cell}.{kind}", self.name)
     }
 
-    /// Where a cell is asked something.
-    pub fn ask(&self, cell: &str, asked: Asked, by: &str) -> String {
-        format!("{ROOT}.{}.ask.{cell}.{}.{by}", self.name, asked.as_str())
+    /// Subject of requests to a cell.
+    pub fn request(&self, cell: &str, requested: RequestKind, by: &str) -> String {
+        format!("{ROOT}.{}.ask.{cell}.{}.{by}", self.name, requested.as_str())
     }
 
     /// What a cell listens to.
-    pub fn asks_of(&self, cell: &str) -> String {
+    pub fn requests_of(&self, cell: &str) -> String {
         format!("{ROOT}.{}.ask.{cell}.*.*", self.name)
     }
 
@@ -354,19 +355,20 @@ impl Fleet {
         Ok(JobSubject { lane: Lane { priority, target }, by: by.to_string() })
     }
 
-    /// What a cell is asked, and by whom.
+    /// What is requested of a cell, and by whom.
     ///
     /// # Errors
     /// It is no request to this cell of this fleet.
-    pub fn read_ask(&self, subject: &str, cell: &str) -> Result<(Asked, String), SubjectFault> {
+    pub fn read_request(&self, subject: &str, cell: &str) -> Result<(RequestKind, String), SubjectFault> {
         let tokens = self.tokens(subject)?;
         let unknown = || SubjectFault::Unknown(subject.to_string());
-        let ["ask", to, asked, by] = tokens[..] else { return Err(unknown()) };
-        let asked = Asked::ALL.into_iter().find(|known| known.as_str() == asked).ok_or_else(unknown)?;
+        let ["ask", to, requested, by] = tokens[..] else { return Err(unknown()) };
+        let requested =
+            RequestKind::ALL.into_iter().find(|known| known.as_str() == requested).ok_or_else(unknown)?;
         if to != cell || !is_name(by) {
             return Err(unknown());
         }
-        Ok((asked, by.to_string()))
+        Ok((requested, by.to_string()))
     }
 }
 
@@ -508,15 +510,15 @@ mod tests {
     }
 
     #[test]
-    fn nothing_that_moves_an_arm_by_itself_can_be_asked_from_afar() {
-        let words: Vec<&str> = Asked::ALL.into_iter().map(Asked::as_str).collect();
+    fn nothing_that_moves_an_arm_by_itself_can_be_requested_from_afar() {
+        let words: Vec<&str> = RequestKind::ALL.into_iter().map(RequestKind::as_str).collect();
         assert_eq!(words, ["approve", "reject", "cancel", "send"]);
         for word in ["arm", "resume", "recover", "release", "step", "park"] {
-            assert!(fleet().read_ask(&format!("celld.v1.plant.ask.c1.{word}.anna"), "c1").is_err());
+            assert!(fleet().read_request(&format!("celld.v1.plant.ask.c1.{word}.anna"), "c1").is_err());
         }
-        let subject = fleet().ask("c1", Asked::Approve, "anna");
-        assert_eq!(fleet().read_ask(&subject, "c1"), Ok((Asked::Approve, "anna".to_string())));
-        assert!(fleet().read_ask(&subject, "c2").is_err());
+        let subject = fleet().request("c1", RequestKind::Approve, "anna");
+        assert_eq!(fleet().read_request(&subject, "c1"), Ok((RequestKind::Approve, "anna".to_string())));
+        assert!(fleet().read_request(&subject, "c2").is_err());
     }
 
     #[test]

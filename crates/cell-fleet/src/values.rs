@@ -1,7 +1,8 @@
 //! What the decisions of a cell in a fleet take in, and what they want done.
 //!
-//! In and out: plain values. Every effect that asks something is answered by an input, also when the network
-//! or the disk failed: the answer is then [`Written::Unknown`] or its like, and the decision reads again.
+//! In and out: plain values. Every effect that requests something is answered by an input, also when the
+//! network or the disk failed: the answer is then [`Written::Unknown`] or its like, and the decision reads
+//! again.
 
 use crate::payloads::{CellState, Claim, Job, Outcome, What, Wish};
 use crate::subjects::Key;
@@ -260,7 +261,7 @@ pub enum Effect {
     /// Follow all claims from now on, or no longer.
     Follow(bool),
     /// Something that the fleet should see.
-    Tell {
+    Report {
         /// The job it is about.
         job: Option<String>,
         /// What happened.

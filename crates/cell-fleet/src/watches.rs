@@ -59,7 +59,7 @@ impl Network {
         let Some(mut watch) = self.watched("orders from afar", watch) else { return };
         while let Some(entry) = watch.next().await {
             if let Some(input) = entry.ok().and_then(key_input) {
-                self.tell(News::Input(input));
+                self.report(News::Input(input));
             }
         }
         self.ended("orders from afar");
@@ -81,7 +81,7 @@ impl Network {
         let Some(watch) = self.watched("shared configuration", watch) else { return };
         let pass = |entry| {
             if let Some(published) = published(entry) {
-                self.tell(News::Fragment(Box::new(published)));
+                self.report(News::Fragment(Box::new(published)));
             }
         };
         self.pass_on("shared configuration", watch, pass, News::FragmentsKnown).await;
@@ -107,7 +107,7 @@ impl Network {
                 Err(_) => true,
             };
             if let Some(known) = known.take_if(|_| last) {
-                self.tell(known);
+                self.report(known);
             }
         }
     }
@@ -125,12 +125,12 @@ impl Network {
             Err(_) => Err("no answer".to_string()),
         };
         let fault = begun.as_ref().err().map(|text| unseen_sentence(what, text));
-        self.tell(News::Complaint(what, fault.unwrap_or_default()));
+        self.report(News::Complaint(what, fault.unwrap_or_default()));
         begun.ok()
     }
 
     fn ended(&self, what: &'static str) {
-        self.tell(News::Complaint(what, unseen_sentence(what, "the watch has ended")));
+        self.report(News::Complaint(what, unseen_sentence(what, "the watch has ended")));
     }
 
     fn cell(&self, entry: Entry) {
@@ -141,9 +141,9 @@ impl Network {
             Operation::Delete | Operation::Purge => None,
         };
         if let Some(state) = state.as_ref().filter(|_| entry.key == self.cell) {
-            self.tell(News::Echo { stored_unix_s: unix_s, sent_unix_s: state.unix_s });
+            self.report(News::Echo { stored_unix_s: unix_s, sent_unix_s: state.unix_s });
         }
-        self.tell(News::Input(Input::Cell { name: entry.key, state: state.map(Box::new), unix_s }));
+        self.report(News::Input(Input::Cell { name: entry.key, state: state.map(Box::new), unix_s }));
     }
 
     async fn watch_claims(&self) {
@@ -152,7 +152,7 @@ impl Network {
         let pass = |entry| {
             let unix_s = unix_s(&entry);
             if let Ok(Some((claim, revision))) = claim_of(Some(entry)) {
-                self.tell(News::Input(Input::Claim { claim, revision, unix_s }));
+                self.report(News::Input(Input::Claim { claim, revision, unix_s }));
             }
         };
         self.pass_on(ALL_CLAIMS, watch, pass, News::Input(Input::ClaimsKnown)).await;

@@ -40,7 +40,7 @@ impl Settings {
 
 /// A cell as it was seen last.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Member {
+pub struct KnownCell {
     /// Its state.
     pub state: CellState,
     /// When it was written, by the server's clock.
@@ -58,7 +58,7 @@ pub struct World {
     /// Armed, and nothing to do.
     pub ready: bool,
     /// The cells of the fleet, this one included once its state came back.
-    pub members: BTreeMap<String, Member>,
+    pub members: BTreeMap<String, KnownCell>,
     /// Refusals by job and cell: epoch and reason.
     pub refusals: BTreeMap<String, BTreeMap<String, (u32, String)>>,
     /// What persons want, by key.
@@ -126,7 +126,7 @@ impl World {
         (!reasons.is_empty()).then_some(reasons)
     }
 
-    /// A cell that was not heard of for long.
+    /// A cell whose state is old.
     pub fn is_away(&self, cell: &str) -> bool {
         let limit = self.settings.away.as_secs_f64();
         self.members.get(cell).is_none_or(|member| self.at.unix_s - member.unix_s > limit)
@@ -151,7 +151,7 @@ mod tests {
         for (name, labels, unix_s) in cells {
             let labels = labels.iter().map(|label| label.to_string()).collect();
             let state = CellState { labels, ..CellState::default() };
-            world.members.insert(name.to_string(), Member { state, unix_s: *unix_s });
+            world.members.insert(name.to_string(), KnownCell { state, unix_s: *unix_s });
         }
         world
     }

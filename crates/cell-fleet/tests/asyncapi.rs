@@ -8,9 +8,9 @@
 use cell_fleet::asyncapi::asyncapi;
 use cell_fleet::fragments::Fragment;
 use cell_fleet::payloads::{
-    Answer, Ask, CellState, Claim, ClaimState, Event, Job, Outcome, Refusal, VERSION, What, Wish, sha256,
+    Answer, CellState, Claim, ClaimState, Event, Job, Outcome, Refusal, Request, VERSION, What, Wish, sha256,
 };
-use cell_fleet::subjects::{Asked, Fleet, Key, Lane, Priority, Target};
+use cell_fleet::subjects::{Fleet, Key, Lane, Priority, RequestKind, Target};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -56,7 +56,7 @@ fn every_payload_fits_its_schema_and_names_no_field_that_it_has_not() {
     fits("claim", &claim);
     fits("refusal", &Refusal { version: VERSION, epoch: 1, reason: "no".into(), unix_s: 1.0 });
     fits("wish", &Wish { version: VERSION, epoch: 1, target: Some("any".into()), begun: true, unix_s: 1.0 });
-    fits("ask", &Ask { version: VERSION, job: "a".into(), plan: Some(3), files: vec!["plan".into()] });
+    fits("ask", &Request { version: VERSION, job: "a".into(), plan: Some(3), files: vec!["plan".into()] });
     fits(
         "answer",
         &Answer { version: VERSION, accepted: true, message: "yes".into(), files: vec!["plan.svg".into()] },
@@ -112,7 +112,7 @@ fn every_name_is_an_address_of_the_document() {
     let names = [
         ("jobs", fleet.job(&lane, "anna")),
         ("events", fleet.event("c1", "done")),
-        ("ask", fleet.ask("c1", Asked::Approve, "anna")),
+        ("ask", fleet.request("c1", RequestKind::Approve, "anna")),
         ("fragments", format!("$KV.{}.{}", fleet.config_bucket(), lane.target.config_key("anna"))),
         ("cells", format!("$KV.{}.c1", fleet.cells_bucket())),
         ("claims", key(Key::claim("a"))),

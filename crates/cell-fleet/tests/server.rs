@@ -17,7 +17,7 @@ use cell_fleet::connect::{ConnectFault, Credentials};
 use cell_fleet::files::FileKind;
 use cell_fleet::payloads::{ClaimState, Job, What, encode};
 use cell_fleet::server::Storage;
-use cell_fleet::subjects::{Asked, Key, Lane, Priority, Target};
+use cell_fleet::subjects::{Key, Lane, Priority, RequestKind, Target};
 use futures_util::StreamExt;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -127,9 +127,9 @@ fn a_cell_that_is_cut_off_ends_what_it_began_and_tells_it_later_in_order() {
     until("the job is begun", || !cell.disk.lock().unwrap().carried_out.is_empty());
     server.kill();
     until("the cell says so", || cell.complains_of("the connection to the NATS server is gone"));
-    let told: Vec<String> = (0..300).map(|number| format!("fault {number}")).collect();
-    cell.disk.lock().unwrap().told.clone_from(&told);
-    until("they were taken in", || cell.disk.lock().unwrap().told.is_empty());
+    let announced: Vec<String> = (0..300).map(|number| format!("fault {number}")).collect();
+    cell.disk.lock().unwrap().announced.clone_from(&announced);
+    until("they were taken in", || cell.disk.lock().unwrap().announced.is_empty());
     server.up();
     ended(&runtime, &client, 1, std::slice::from_ref(&cell));
     let mut arrived = Vec::new();
@@ -144,9 +144,9 @@ fn a_cell_that_is_cut_off_ends_what_it_began_and_tells_it_later_in_order() {
                 _ => None,
             })
             .collect();
-        arrived.len() == told.len()
+        arrived.len() == announced.len()
     });
-    assert_eq!(arrived, told);
+    assert_eq!(arrived, announced);
     until("nothing is wrong any more", || cell.disk.lock().unwrap().complaints.is_empty());
 }
 
@@ -167,13 +167,13 @@ fn what_all_refuse_is_set_aside_and_a_person_decides_from_afar() {
         let claims = runtime.block_on(client.claims()).unwrap();
         claims.iter().any(|claim| claim.state == ClaimState::Aside && claim.reasons.len() == 2)
     });
-    let unnamed = runtime.block_on(client.ask("c1", Asked::Approve, "tidy", None)).unwrap();
+    let unnamed = runtime.block_on(client.request("c1", RequestKind::Approve, "tidy", None)).unwrap();
     assert!(!unnamed.accepted && unnamed.message.contains("no plan"), "{unnamed:?}");
-    let answer = runtime.block_on(client.ask("c1", Asked::Approve, "tidy", Some(7))).unwrap();
+    let answer = runtime.block_on(client.request("c1", RequestKind::Approve, "tidy", Some(7))).unwrap();
     assert!(answer.accepted && answer.message == "agreed", "{answer:?}");
     let ordered = cells[1].disk.lock().unwrap().ordered.clone();
-    assert_eq!(ordered, [(Asked::Approve, "tidy".to_string(), Some(7), "anna".to_string())]);
-    let nobody = runtime.block_on(client.ask("c9", Asked::Approve, "tidy", Some(7))).unwrap_err();
+    assert_eq!(ordered, [(RequestKind::Approve, "tidy".to_string(), Some(7), "anna".to_string())]);
+    let nobody = runtime.block_on(client.request("c9", RequestKind::Approve, "tidy", Some(7))).unwrap_err();
     assert!(nobody.contains("c9 does not answer"), "{nobody}");
     // Not taken by any cell yet: it waits for a time of its own.
     let late = Job { not_before_unix_s: Some(4e9), ..job("late") };
@@ -327,7 +327,7 @@ fn a_client_of_the_mqtt_gateway_sees_the_events() {
     let mut lines = BufReader::new(reader.stdout.take().unwrap()).lines().map_while(Result::ok);
     assert_eq!(lines.next().as_deref(), Some("READY"));
     let mut cell = Cell::new("c1", server.access(None), 20);
-    cell.disk.lock().unwrap().told.push("the feeder is empty".to_string());
+    cell.disk.lock().unwrap().announced.push("the feeder is empty".to_string());
     cell.up();
     let line = lines.next().unwrap_or_default();
     reader.kill().unwrap();
@@ -352,13 +352,13 @@ fn files_go_over_the_object_store_whole() {
     ended(&runtime, &client, 1, &[]);
     let folder = tempfile::tempdir().unwrap();
     let kinds = [FileKind::Plan, FileKind::Recording];
-    let answer = runtime.block_on(client.ask_for_files("c1", "job-0", &kinds)).unwrap();
+    let answer = runtime.block_on(client.request_for_files("c1", "job-0", &kinds)).unwrap();
     assert_eq!((answer.accepted, answer.files.len()), (true, 2), "{answer:?}");
     for name in &answer.files {
         let path = runtime.block_on(client.fetch("c1", "job-0", name, folder.path())).unwrap();
         assert_eq!(std::fs::read(path).unwrap(), bytes, "{name}");
     }
-    let answer = runtime.block_on(client.ask_for_files("c1", "job-1", &kinds)).unwrap();
+    let answer = runtime.block_on(client.request_for_files("c1", "job-1", &kinds)).unwrap();
     assert_eq!((answer.accepted, answer.message.as_str()), (false, "no such job"));
     for name in ["../plan.bin", "/etc/passwd", "none.bin"] {
         assert!(runtime.block_on(client.fetch("c1", "job-0", name, folder.path())).is_err(), "{name}");

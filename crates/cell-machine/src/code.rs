@@ -269,7 +269,7 @@ const TABLE: [(Code, Place, &str, &str); 84] = [
         Code::ProgramOverdue,
         Place::Result,
         "program_overdue",
-        "the on-robot program did not do in time what was asked",
+        "the on-robot program did not do in time what was ordered",
     ),
     (Code::HeartbeatLost, Place::Result, "heartbeat_lost", "the robot missed celld's heartbeat"),
     (Code::RobotRefused, Place::Result, "robot_refused", "the controller refused a request"),

@@ -28,7 +28,7 @@ pub enum Wish {
 #[derive(Debug, Deserialize, Serialize)]
 enum State {
     Down { retry_at: Timestamp },
-    Asked { deadline: Timestamp },
+    Requested { deadline: Timestamp },
     Up,
 }
 
@@ -108,15 +108,15 @@ impl Connections {
         for connection in &mut self.0 {
             match connection.state {
                 State::Down { retry_at } if now >= retry_at => {
-                    connection.state = State::Asked { deadline: now + CONNECT_WITHIN };
+                    connection.state = State::Requested { deadline: now + CONNECT_WITHIN };
                     return Some(Wish::Connect(connection.link));
                 }
-                State::Asked { deadline } if now >= deadline => {
+                State::Requested { deadline } if now >= deadline => {
                     let link = connection.link;
                     self.lost(now, link, "no answer to the connection request".to_string());
                     return Some(Wish::Close(link));
                 }
-                State::Down { .. } | State::Asked { .. } | State::Up => {}
+                State::Down { .. } | State::Requested { .. } | State::Up => {}
             }
         }
         None
@@ -126,7 +126,7 @@ impl Connections {
     pub fn next_wake(&self) -> Option<Timestamp> {
         let due = self.0.iter().map(|connection| match connection.state {
             State::Down { retry_at } => Some((retry_at, ())),
-            State::Asked { deadline } => Some((deadline, ())),
+            State::Requested { deadline } => Some((deadline, ())),
             State::Up => None,
         });
         due.fold(None, earlier).map(|(at, ())| at)

@@ -313,8 +313,8 @@ impl Machine {
     fn step(&mut self, now: Timestamp, input: Input) {
         let Some(supervisor) = &mut self.supervisor else { return self.step_without_cell(input) };
         let Machine { robot, gripper, connections, .. } = self;
-        let outside = snapshot(now, &Sessions { robot, gripper, connections }, self.gripper_answers);
-        let actions = supervisor.step(now, &outside, input);
+        let devices = snapshot(now, &Sessions { robot, gripper, connections }, self.gripper_answers);
+        let actions = supervisor.step(now, &devices, input);
         let mut refused = Vec::new();
         for action in actions {
             refused.extend(self.carry_out(now, action));

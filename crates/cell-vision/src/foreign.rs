@@ -185,8 +185,8 @@ pub fn find_in(
     let count = |cells: &[bool]| cells.iter().filter(|cell| **cell).count() as f64;
     let bare_measured =
         bare.iter().zip(&measured).filter(|(bare, measured)| **bare && **measured).count() as f64;
-    let asked = bare_measured + count(&unmeasured);
-    let measured_share = if asked > 0.0 { bare_measured / asked } else { 1.0 };
+    let requested = bare_measured + count(&unmeasured);
+    let measured_share = if requested > 0.0 { bare_measured / requested } else { 1.0 };
     let holes = holes::pieces(first, &unmeasured);
     ForeignReport { objects, measured_share, holes, by_colour: first.by_colour }
 }

@@ -474,7 +474,7 @@ mod tests {
                 mean_hides |= bumped.shift_m[0].hypot(bumped.shift_m[1]) < 5e-4;
             }
         }
-        assert!(mean_hides, "the mean over both looks would have told nothing");
+        assert!(mean_hides, "the mean over both looks would have shown nothing");
         let lifted = check(Isometry3::translation(0.0, 0.0, 2e-3));
         let (worst, excess) = lifted.worst_look(&limits).unwrap();
         assert!((worst.lift_m - 2e-3).abs() < 2e-4 && (excess - 2.0).abs() < 0.2, "{worst:?}");

@@ -40,12 +40,12 @@ impl CameraTiming {
     /// A picture of the moment, at once.
     pub const INSTANT: CameraTiming = CameraTiming { period_s: 0.0, exposure_s: 0.0, latency_s: 0.0 };
 
-    /// The frame for a client's request at `asked_s`.
-    pub fn window(&self, asked_s: f64) -> Window {
+    /// The frame for a client's request at `requested_s`.
+    pub fn window(&self, requested_s: f64) -> Window {
         let begin_s = match self.period_s > 0.0 {
             // A frame that begins at this very moment counts.
-            true => ((asked_s / self.period_s - 1e-6).ceil() * self.period_s).max(asked_s),
-            false => asked_s,
+            true => ((requested_s / self.period_s - 1e-6).ceil() * self.period_s).max(requested_s),
+            false => requested_s,
         };
         let end_s = begin_s + self.exposure_s;
         Window { begin_s, end_s, ready_s: end_s + self.latency_s }
@@ -153,10 +153,12 @@ mod tests {
     #[test]
     fn a_frame_begins_with_the_sensor_and_arrives_after_exposure_and_transfer() {
         let timing = CameraTiming { period_s: 0.04, exposure_s: 0.01, latency_s: 0.02 };
-        for (asked_s, begin_s) in [(0.0, 0.0), (0.001, 0.04), (0.0399, 0.04), (0.04, 0.04), (0.0401, 0.08)] {
-            let window = timing.window(asked_s);
-            assert!((window.begin_s - begin_s).abs() < 1e-9, "{asked_s}: {window:?}");
-            assert!((window.end_s - begin_s - 0.01).abs() < 1e-9 && window.begin_s >= asked_s - 1e-9);
+        for (requested_s, begin_s) in
+            [(0.0, 0.0), (0.001, 0.04), (0.0399, 0.04), (0.04, 0.04), (0.0401, 0.08)]
+        {
+            let window = timing.window(requested_s);
+            assert!((window.begin_s - begin_s).abs() < 1e-9, "{requested_s}: {window:?}");
+            assert!((window.end_s - begin_s - 0.01).abs() < 1e-9 && window.begin_s >= requested_s - 1e-9);
             assert!((window.ready_s - begin_s - 0.03).abs() < 1e-9);
         }
         let now = CameraTiming::INSTANT.window(7.3);

@@ -144,7 +144,7 @@ pub async fn start(config: SimConfig) -> Result<RunningSim, SimError> {
         World::new(config.world, config.seed)?,
         config.time_factor,
     );
-    core.desk.submit(config.faults)?;
+    core.injector.submit(config.faults)?;
     let (stop, stopped) = watch::channel(false);
     let gripper = listen(Port::Gripper.name(), config.bind, config.modbus_port).await?;
     let camera = listen("camera", config.bind, config.camera_port).await?;
@@ -168,8 +168,8 @@ pub async fn start(config: SimConfig) -> Result<RunningSim, SimError> {
     let pictures = camera_server::serve(camera.0, config.camera, world, link, until(&stopped));
     tasks.spawn(async move { report("camera server", pictures.await) });
     if let Some((listener, _)) = control {
-        let (world, desk) = (core.world.clone(), core.desk.clone());
-        let control = control_server::serve(listener, world, desk, until(&stopped));
+        let (world, injector) = (core.world.clone(), core.injector.clone());
+        let control = control_server::serve(listener, world, injector, until(&stopped));
         tasks.spawn(async move { report("control server", control.await) });
     }
     let progress = Arc::new(Progress::new(core.robot.controller().core.timestamp()));
@@ -209,8 +209,8 @@ impl RunningSim {
     }
 
     /// Faults: tests.
-    pub fn desk(&self) -> &Arc<FaultInjector> {
-        &self.core.desk
+    pub fn injector(&self) -> &Arc<FaultInjector> {
+        &self.core.injector
     }
 
     /// Simulated seconds per second since the start.
@@ -313,7 +313,7 @@ mod tests {
                 forgotten.push(tokio::net::TcpStream::connect(address).await.unwrap());
             }
         }
-        let ask = async |address, request: &[u8], count: usize| {
+        let request = async |address, request: &[u8], count: usize| {
             let mut stream = tokio::net::TcpStream::connect(address).await.unwrap();
             stream.write_all(request).await.unwrap();
             let mut answer = vec![0; count];
@@ -322,9 +322,9 @@ mod tests {
         };
         // The vacuum of channel A of unit 65.
         let vacuum = [0, 1, 0, 0, 0, 6, 65, 3, 1, 2, 0, 1];
-        assert_eq!(ask(sim.addresses.modbus, &vacuum, 11).await[..9], [0, 1, 0, 0, 0, 5, 65, 3, 2]);
+        assert_eq!(request(sim.addresses.modbus, &vacuum, 11).await[..9], [0, 1, 0, 0, 0, 5, 65, 3, 2]);
         let world = b"GET /world.json HTTP/1.1\r\nHost: sim\r\n\r\n";
-        assert_eq!(ask(control, world, 15).await, b"HTTP/1.1 200 OK");
+        assert_eq!(request(control, world, 15).await, b"HTTP/1.1 200 OK");
         sim.shutdown().await;
     }
 

@@ -105,9 +105,9 @@ const BUILT_IN: &str = include_str!("../../../config/sim.yaml");
 const USUAL_PLACE: &str = "config/sim.yaml";
 
 /// The configuration and what to call it in messages.
-fn configuration(asked: Option<&Path>) -> Result<(SimFile, String), String> {
+fn configuration(requested: Option<&Path>) -> Result<(SimFile, String), String> {
     let usual = Path::new(USUAL_PLACE);
-    let path = asked.or_else(|| usual.exists().then_some(usual));
+    let path = requested.or_else(|| usual.exists().then_some(usual));
     let Some(path) = path else {
         let name = "built-in configuration";
         let file = read_sim(BUILT_IN, name).map_err(|complaints| complaints.to_string())?;

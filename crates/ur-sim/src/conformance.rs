@@ -332,7 +332,7 @@ pub fn page() -> String {
 const HEAD: &str = "# What is real, modelled and absent
 
 Printed by `celld sim --conformance`; a test keeps this page equal to the program. Real: as the manuals
-say. Modelled: something simpler, which the note names. Absent: not there, and said so when asked for. The
+say. Modelled: something simpler, which the note names. Absent: not there, and said so when it is requested. The
 last column of the first tables names a test of it; the script and RTDE tables are those that the
 simulator runs by, and tests call every row of them (`crates/ur-sim/src/controller/builtins.rs`,
 `crates/ur-sim/src/robot_server/dashboard/tests.rs`) and judge every built-in that is called real

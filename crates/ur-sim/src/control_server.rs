@@ -42,7 +42,7 @@ pub enum ControlError {
 #[derive(Clone)]
 struct Control {
     world: SharedWorld,
-    desk: Arc<FaultInjector>,
+    injector: Arc<FaultInjector>,
 }
 
 /// Serves clients until `stop` resolves.
@@ -52,7 +52,7 @@ struct Control {
 pub async fn serve(
     listener: TcpListener,
     world: SharedWorld,
-    desk: Arc<FaultInjector>,
+    injector: Arc<FaultInjector>,
     stop: impl Future<Output = ()> + Send + 'static,
 ) -> Result<(), ControlError> {
     let address = listener.local_addr()?.ip();
@@ -65,7 +65,7 @@ pub async fn serve(
         .route("/fault", post(fault))
         .route("/request", get(requested).post(answer))
         .layer(DefaultBodyLimit::max(BODY_LIMIT))
-        .with_state(Control { world, desk });
+        .with_state(Control { world, injector });
     // No fault acts on what makes them.
     let link = Arc::default();
     let listener = LinkListener { listener, link, seats: Seats::new(MAX_CONNECTIONS) };
@@ -74,12 +74,12 @@ pub async fn serve(
 
 async fn state(State(control): State<Control>) -> Response {
     let mut snapshot = lock(&control.world).snapshot_json();
-    snapshot["faults"] = control.desk.snapshot_json();
+    snapshot["faults"] = control.injector.snapshot_json();
     Json(snapshot).into_response()
 }
 
 async fn timing(State(control): State<Control>) -> Response {
-    let robot = control.desk.robot();
+    let robot = control.injector.robot();
     let delays = robot.latency.delays();
     let (sent, skipped) = robot.publisher().counts();
     let timing = json!({
@@ -99,7 +99,7 @@ async fn fault(State(control): State<Control>, body: Bytes) -> Response {
     let text = String::from_utf8_lossy(&body);
     let done = read_posted(&text)
         .map_err(|complaints| complaints.to_string())
-        .and_then(|plans| control.desk.submit(plans).map_err(|error| error.to_string()));
+        .and_then(|plans| control.injector.submit(plans).map_err(|error| error.to_string()));
     match done {
         Ok(()) => Json(json!({"ok": true})).into_response(),
         Err(error) => (StatusCode::BAD_REQUEST, Json(json!({"error": error}))).into_response(),
@@ -108,7 +108,7 @@ async fn fault(State(control): State<Control>, body: Bytes) -> Response {
 
 /// What the pendant would show.
 async fn requested(State(control): State<Control>) -> Response {
-    let controller = control.desk.robot().controller();
+    let controller = control.injector.robot().controller();
     let shown = controller.core.requests.shown();
     Json(
         json!({"request": shown.map(|request| json!({"type": request.wanted.name(), "text": request.text}))}),
@@ -120,7 +120,7 @@ async fn requested(State(control): State<Control>) -> Response {
 async fn answer(State(control): State<Control>, body: Bytes) -> Response {
     let done = serde_json::from_slice(&body)
         .map_err(|error| format!("this is no JSON: {error}"))
-        .and_then(|value| control.desk.robot().controller().core.requests.answer(&value));
+        .and_then(|value| control.injector.robot().controller().core.requests.answer(&value));
     match done {
         Ok(()) => Json(json!({"ok": true})).into_response(),
         Err(error) => (StatusCode::BAD_REQUEST, Json(json!({"error": error}))).into_response(),
@@ -136,7 +136,7 @@ mod tests {
     use std::net::SocketAddr;
     use std::sync::Mutex;
 
-    fn desk(world: &SharedWorld) -> Arc<FaultInjector> {
+    fn injector(world: &SharedWorld) -> Arc<FaultInjector> {
         let robot = RobotShared::new(Controller::new(ControllerConfig::ur5e(1)));
         Arc::new(FaultInjector::new(robot, world.clone(), 1.0))
     }
@@ -145,7 +145,7 @@ mod tests {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let world = Arc::new(Mutex::new(empty_world(5)));
-        tokio::spawn(serve(listener, world.clone(), desk(&world), std::future::pending()));
+        tokio::spawn(serve(listener, world.clone(), injector(&world), std::future::pending()));
         (address, world)
     }
 
@@ -199,8 +199,8 @@ mod tests {
         let world: SharedWorld = Arc::new(Mutex::new(empty_world(5)));
         let config = ControllerConfig { running: true, ..ControllerConfig::ur5e(1) };
         let robot = RobotShared::new(Controller::new(config));
-        let desk = Arc::new(FaultInjector::new(robot.clone(), world.clone(), 1.0));
-        tokio::spawn(serve(listener, world, desk, std::future::pending()));
+        let injector = Arc::new(FaultInjector::new(robot.clone(), world.clone(), 1.0));
+        tokio::spawn(serve(listener, world, injector, std::future::pending()));
         let (status, reply) = exchange(address, "/request", None).await;
         assert_eq!((status, reply), (200, json!({"request": null})));
         assert_eq!(exchange(address, "/request", Some("3")).await.0, 400, "nothing is requested");
@@ -222,7 +222,7 @@ mod tests {
     async fn only_loopback_is_served() {
         let listener = TcpListener::bind("0.0.0.0:0").await.unwrap();
         let world = Arc::new(Mutex::new(empty_world(5)));
-        let refused = serve(listener, world.clone(), desk(&world), std::future::pending()).await;
+        let refused = serve(listener, world.clone(), injector(&world), std::future::pending()).await;
         assert!(matches!(refused, Err(ControlError::NotLoopback(_))));
     }
 }

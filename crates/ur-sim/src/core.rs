@@ -26,7 +26,7 @@ pub struct Core {
     /// The table, the objects, the gripper.
     pub world: SharedWorld,
     /// Faults planned and in force.
-    pub desk: Arc<FaultInjector>,
+    pub injector: Arc<FaultInjector>,
 }
 
 impl fmt::Debug for Core {
@@ -43,8 +43,8 @@ impl Core {
         world.set_conveyors(controller.core.config.belts.clone());
         let robot = RobotShared::new(controller);
         let world: SharedWorld = Arc::new(Mutex::new(world));
-        let desk = Arc::new(FaultInjector::new(robot.clone(), world.clone(), factor));
-        let core = Core { robot, world, desk };
+        let injector = Arc::new(FaultInjector::new(robot.clone(), world.clone(), factor));
+        let core = Core { robot, world, injector };
         core.step_world();
         core
     }
@@ -53,7 +53,7 @@ impl Core {
     pub fn advance(&self, due: Option<Instant>) {
         self.robot.frame(due);
         self.step_world();
-        self.desk.frame();
+        self.injector.frame();
     }
 
     /// The world follows the arm, which feels what it touches; where it presses too hard, its safety system

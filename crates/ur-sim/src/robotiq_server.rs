@@ -85,7 +85,7 @@ mod tests {
     }
 
     /// What a line is answered.
-    fn ask(simulator: &mut Simulator, id: crate::simulator::ConnectionId, line: &str) -> String {
+    fn request(simulator: &mut Simulator, id: crate::simulator::ConnectionId, line: &str) -> String {
         simulator.receive(id, line.as_bytes());
         let sent = std::iter::from_fn(|| simulator.transmit());
         let bytes: Vec<u8> = sent
@@ -105,21 +105,21 @@ mod tests {
             let wanted = format!("{name} {value}\n");
             (0..3000).any(|_| {
                 simulator.advance();
-                ask(simulator, id, &format!("GET {name}\n")) == wanted
+                request(simulator, id, &format!("GET {name}\n")) == wanted
             })
         };
-        assert_eq!(ask(&mut simulator, id, "GET STA\n"), "STA 0\n");
-        assert_eq!(ask(&mut simulator, id, "SET ACT 0\nSET ATR 0\n"), "ackack");
-        assert_eq!(ask(&mut simulator, id, "SET ACT 1\n"), "ack");
+        assert_eq!(request(&mut simulator, id, "GET STA\n"), "STA 0\n");
+        assert_eq!(request(&mut simulator, id, "SET ACT 0\nSET ATR 0\n"), "ackack");
+        assert_eq!(request(&mut simulator, id, "SET ACT 1\n"), "ack");
         assert!(wait(&mut simulator, "STA", "3"));
         for (wanted, reached) in [(0, 3), (255, 227), (0, 3)] {
             let line = format!("SET POS {wanted} SPE 64 FOR 1 GTO 1\n");
-            assert_eq!(ask(&mut simulator, id, &line), "ack");
-            assert_eq!(ask(&mut simulator, id, "GET PRE\nGET OBJ\n"), format!("PRE {wanted}\nOBJ 0\n"));
+            assert_eq!(request(&mut simulator, id, &line), "ack");
+            assert_eq!(request(&mut simulator, id, "GET PRE\nGET OBJ\n"), format!("PRE {wanted}\nOBJ 0\n"));
             assert!(wait(&mut simulator, "OBJ", "3"));
-            assert_eq!(ask(&mut simulator, id, "GET POS\n"), format!("POS {reached}\n"));
+            assert_eq!(request(&mut simulator, id, "GET POS\n"), format!("POS {reached}\n"));
         }
-        assert_eq!(ask(&mut simulator, id, "GET FLT\r\n"), "FLT 00\n");
+        assert_eq!(request(&mut simulator, id, "GET FLT\r\n"), "FLT 00\n");
     }
 
     #[test]
@@ -129,11 +129,11 @@ mod tests {
         for line in
             ["GET FMT", "GET", "SET", "SET POS", "SET POS 1 NOPE 2", "SET POS x", "SET STA 3", "HELLO"]
         {
-            assert_eq!(ask(&mut simulator, id, &format!("{line}\n")), "?\n", "{line}");
+            assert_eq!(request(&mut simulator, id, &format!("{line}\n")), "?\n", "{line}");
         }
-        assert_eq!(ask(&mut simulator, id, "GET PRE\n"), "PRE 0\n");
-        assert_eq!(ask(&mut simulator, id, "SET POS 300\nGET PRE\n"), "ackPRE 255\n");
-        assert_eq!(ask(&mut simulator, id, &"x".repeat(100_000)), "closed");
+        assert_eq!(request(&mut simulator, id, "GET PRE\n"), "PRE 0\n");
+        assert_eq!(request(&mut simulator, id, "SET POS 300\nGET PRE\n"), "ackPRE 255\n");
+        assert_eq!(request(&mut simulator, id, &"x".repeat(100_000)), "closed");
     }
 
     #[test]

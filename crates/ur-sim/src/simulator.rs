@@ -61,7 +61,7 @@ impl Simulator {
         faults: Vec<Planned>,
     ) -> Result<Simulator, SimulatorError> {
         let core = Core::new(Controller::new(controller), World::new(world, seed)?, 1.0);
-        core.desk.submit(faults)?;
+        core.injector.submit(faults)?;
         Ok(Simulator { core, sessions: BTreeMap::new(), last_id: 0, out: VecDeque::new() })
     }
 

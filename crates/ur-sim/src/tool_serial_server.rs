@@ -103,7 +103,7 @@ mod tests {
         (simulator, id)
     }
 
-    fn ask(simulator: &mut Simulator, id: ConnectionId, body: &[u8]) -> Vec<u8> {
+    fn request(simulator: &mut Simulator, id: ConnectionId, body: &[u8]) -> Vec<u8> {
         let frame = [body, &checksum(body).to_le_bytes()].concat();
         simulator.receive(id, &frame);
         let sent = std::iter::from_fn(|| simulator.transmit());
@@ -118,22 +118,22 @@ mod tests {
     fn the_gripper_answers_on_the_tools_serial_line_and_sucks() {
         let (mut simulator, id) = simulator(Drive::Vgc10OnTool, 24, "True, 1000000, 2, 1");
         let id = id.unwrap();
-        let echo = ask(&mut simulator, id, GRIP);
+        let echo = request(&mut simulator, id, GRIP);
         assert_eq!(echo[..6], *GRIP);
         assert_eq!(lock(&simulator.core().world).vacuum_command(Channel::A), (VacuumMode::Grip, 0.6));
         (0..500).for_each(|_| simulator.advance());
-        let read = ask(&mut simulator, id, VACUUM);
+        let read = request(&mut simulator, id, VACUUM);
         // In the air little vacuum builds up: 12 %.
         let vacuum = u16::from_be_bytes([read[3], read[4]]);
         assert!(read[..3] == [65, 3, 2] && (100..140).contains(&vacuum), "{read:?}");
         assert_eq!(checksum(&read[..5]).to_le_bytes(), read[5..]);
         // All devices listen to unit 0, and none answers.
-        assert_eq!(ask(&mut simulator, id, &[0, 6, 0, 0, 0, 0]), b"");
+        assert_eq!(request(&mut simulator, id, &[0, 6, 0, 0, 0, 0]), b"");
         assert_eq!(lock(&simulator.core().world).vacuum_command(Channel::A).0, VacuumMode::Release);
         // The first half of a frame is none once the line was silent.
         simulator.receive(id, &[65, 6, 0, 0]);
         (0..30).for_each(|_| simulator.advance());
-        assert_eq!(ask(&mut simulator, id, VACUUM)[..3], [65, 3, 2]);
+        assert_eq!(request(&mut simulator, id, VACUUM)[..3], [65, 3, 2]);
     }
 
     #[test]
@@ -147,12 +147,12 @@ mod tests {
             (24, "True, 115200, 2, 2"),
         ] {
             let (mut simulator, id) = simulator(Drive::Vgc10OnTool, voltage, line);
-            assert_eq!(ask(&mut simulator, id.unwrap(), GRIP), b"", "{voltage} V, {line}");
+            assert_eq!(request(&mut simulator, id.unwrap(), GRIP), b"", "{voltage} V, {line}");
             assert_eq!(lock(&simulator.core().world).vacuum_command(Channel::A).0, VacuumMode::Release);
         }
         let (mut simulator, id) = simulator(Drive::Vgc10OnTool, 24, "True, 115200, 2, 1");
-        assert_eq!(ask(&mut simulator, id.unwrap(), &[66, 6, 0, 0, 1, 60]), b"");
-        assert_eq!(ask(&mut simulator, id.unwrap(), &[65, 3, 9, 9, 0, 1])[..3], [65, 0x83, 2]);
+        assert_eq!(request(&mut simulator, id.unwrap(), &[66, 6, 0, 0, 1, 60]), b"");
+        assert_eq!(request(&mut simulator, id.unwrap(), &[65, 3, 9, 9, 0, 1])[..3], [65, 0x83, 2]);
     }
 
     #[test]

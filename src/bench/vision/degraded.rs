@@ -104,8 +104,9 @@ impl Subject {
     /// # Errors
     /// What the detector says.
     pub fn taken(picture: GrayImage) -> Result<Subject, String> {
-        let mut eyes = Eyes::new().map_err(|error| error.to_string())?;
-        let [_, _, ours, one, middle, two] = eyes.see(&picture, &[]).map_err(|error| error.to_string())?;
+        let mut camera_view = Detectors::new().map_err(|error| error.to_string())?;
+        let [_, _, ours, one, middle, two] =
+            camera_view.see(&picture, &[]).map_err(|error| error.to_string())?;
         let all = [ours.0, one.0, middle.0, two.0];
         let mut subject = Subject { picture, markers: Vec::new(), others: Vec::new() };
         for seen in all.iter().flatten() {
@@ -161,7 +162,7 @@ pub fn run(
 
 /// All degradations of one picture.
 fn rows_of(seed: u64, number: usize, subject: &Subject, stop: &AtomicBool) -> Result<Vec<[Sums; 6]>, String> {
-    let mut eyes = Eyes::new().map_err(|error| error.to_string())?;
+    let mut camera_view = Detectors::new().map_err(|error| error.to_string())?;
     let corners: Vec<[[f64; 2]; 4]> =
         subject.markers.iter().chain(&subject.others).map(|(_, corners)| *corners).collect();
     let ids: Vec<u32> = subject.markers.iter().map(|(id, _)| *id).collect();
@@ -173,7 +174,7 @@ fn rows_of(seed: u64, number: usize, subject: &Subject, stop: &AtomicBool) -> Re
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         random.set_stream(number as u64);
         let picture = degradation.apply(&subject.picture, &corners, &mut random)?;
-        let seen = eyes.see(&picture, &ids).map_err(|error| error.to_string())?;
+        let seen = camera_view.see(&picture, &ids).map_err(|error| error.to_string())?;
         rows.push(seen.map(|(detections, ms)| subject.judge(&detections, ms)));
     }
     Ok(rows)
@@ -200,7 +201,7 @@ impl Subject {
 }
 
 /// Every way of searching.
-struct Eyes {
+struct Detectors {
     ours: Detector,
     library: Vec<PlainLibrary>,
 }
@@ -208,11 +209,11 @@ struct Eyes {
 /// What a way found and how long it took, ms.
 type Found = (Vec<Detection>, f64);
 
-impl Eyes {
-    fn new() -> Result<Eyes, DetectError> {
+impl Detectors {
+    fn new() -> Result<Detectors, DetectError> {
         let ours = Detector::new(DetectSettings { threads: 1, ..DetectSettings::default() })?;
         let library = DECIMATE.iter().map(|decimate| PlainLibrary::new(&[Family::Tag36h11], *decimate));
-        Ok(Eyes { ours, library: library.collect::<Result<_, _>>()? })
+        Ok(Detectors { ours, library: library.collect::<Result<_, _>>()? })
     }
 
     fn see(&mut self, picture: &GrayImage, ids: &[u32]) -> Result<[Found; 6], DetectError> {

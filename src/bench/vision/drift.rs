@@ -113,7 +113,7 @@ struct Bench {
 }
 
 /// How the markers of a picture become known.
-enum Eye {
+enum SightKind {
     /// Projected, with noise.
     Corners,
     /// Drawn, and found by the cell's own eyes.
@@ -135,14 +135,17 @@ struct Tally {
 pub fn run(task: Task, limits: DriftLimits, stop: &AtomicBool) -> Result<Option<Report>, String> {
     let mut random = ChaCha8Rng::seed_from_u64(task.seed);
     let bench = Bench::new(limits, &mut random);
-    let Some(projected) = bench.tally([task.trials, task.looks], &mut Eye::Corners, stop, &mut random)?
+    let Some(projected) =
+        bench.tally([task.trials, task.looks], &mut SightKind::Corners, stop, &mut random)?
     else {
         return Ok(None);
     };
     let perception = Perception::new(bench.known.clone(), DetectSettings::default());
-    let mut eyes = Eye::Pictures(Box::new(perception.map_err(|error| chain(&error))?));
+    let mut camera_view = SightKind::Pictures(Box::new(perception.map_err(|error| chain(&error))?));
     let (rendered_trials, rendered_looks) = (task.rendered / 2, task.rendered - task.rendered / 2);
-    let Some(rendered) = bench.tally([rendered_trials, rendered_looks], &mut eyes, stop, &mut random)? else {
+    let Some(rendered) =
+        bench.tally([rendered_trials, rendered_looks], &mut camera_view, stop, &mut random)?
+    else {
         return Ok(None);
     };
     let Some(within) = bench.untouched(task.calibrations, stop, &mut random, &mut |random| {
@@ -242,7 +245,7 @@ impl Bench {
     fn tally(
         &self,
         [bumped, sound]: [usize; 2],
-        eye: &mut Eye,
+        eye: &mut SightKind,
         stop: &AtomicBool,
         random: &mut ChaCha8Rng,
     ) -> Result<Option<Tally>, String> {
@@ -269,7 +272,7 @@ impl Bench {
     fn trial(
         &self,
         bumped: Option<usize>,
-        eye: &mut Eye,
+        eye: &mut SightKind,
         random: &mut ChaCha8Rng,
     ) -> Result<(bool, f64), String> {
         let bump = bumped.map_or_else(Isometry3::identity, |number| bump(number, random));
@@ -290,7 +293,8 @@ impl Bench {
                 return Ok(None);
             }
             let belief = calibration(random)?;
-            let (drifted, share) = self.look(&*belief, &Isometry3::identity(), &mut Eye::Corners, random)?;
+            let (drifted, share) =
+                self.look(&*belief, &Isometry3::identity(), &mut SightKind::Corners, random)?;
             alarms += usize::from(drifted);
             shares.push(share);
         }
@@ -303,7 +307,7 @@ impl Bench {
         &self,
         belief: &dyn Fn(&Isometry3<f64>) -> Isometry3<f64>,
         bump: &Isometry3<f64>,
-        eye: &mut Eye,
+        eye: &mut SightKind,
         random: &mut ChaCha8Rng,
     ) -> Result<(bool, f64), String> {
         let mut views = Vec::with_capacity(self.poses.len() * FRAMES);
@@ -327,11 +331,11 @@ impl Bench {
         &self,
         truly: &Isometry3<f64>,
         table_from_camera: Isometry3<f64>,
-        eye: &mut Eye,
+        eye: &mut SightKind,
         random: &mut ChaCha8Rng,
     ) -> Result<View, String> {
         let time = Timestamp::ZERO;
-        if let Eye::Pictures(perception) = eye {
+        if let SightKind::Pictures(perception) = eye {
             let ground = Ground::Plain(140.0);
             let picture = render(&self.lens, truly, &ground, &self.prints, DEGRADE, random);
             let view = perception.grey_view(picture, table_from_camera, time, None);

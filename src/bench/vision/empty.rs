@@ -82,10 +82,10 @@ impl Report {
 pub fn run(task: &Task, stop: &AtomicBool, done: &(dyn Fn() + Sync)) -> Result<Option<Report>, String> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(task.threads).build();
     let pool = pool.map_err(|error| error.to_string())?;
-    let one = |eyes: &mut Result<Eyes, String>, number: usize| {
-        let report = match eyes {
+    let one = |camera_view: &mut Result<Detectors, String>, number: usize| {
+        let report = match camera_view {
             _ if stop.load(Ordering::Relaxed) => Ok(Report::default()),
-            Ok(eyes) => eyes.look(task, number),
+            Ok(camera_view) => camera_view.look(task, number),
             Err(error) => Err(error.clone()),
         };
         done();
@@ -93,24 +93,24 @@ pub fn run(task: &Task, stop: &AtomicBool, done: &(dyn Fn() + Sync)) -> Result<O
     };
     let all = pool.install(|| {
         let numbers = (0..task.pictures).into_par_iter();
-        numbers.map_init(Eyes::new, one).try_reduce(Report::default, |a, b| Ok(a.merge(b)))
+        numbers.map_init(Detectors::new, one).try_reduce(Report::default, |a, b| Ok(a.merge(b)))
     })?;
     Ok((!stop.load(Ordering::Relaxed)).then_some(all))
 }
 
 /// Ours and the library's detectors.
-struct Eyes {
+struct Detectors {
     ours: Detector,
     library: Vec<PlainLibrary>,
 }
 
-impl Eyes {
-    fn new() -> Result<Eyes, String> {
+impl Detectors {
+    fn new() -> Result<Detectors, String> {
         let settings = DetectSettings { threads: 1, ..DetectSettings::default() };
         let ours = Detector::new(settings).map_err(|error| error.to_string())?;
         let library = DECIMATE.iter().map(|decimate| PlainLibrary::new(&[Family::Tag36h11], *decimate));
         let library = library.collect::<Result<_, _>>().map_err(|error| error.to_string())?;
-        Ok(Eyes { ours, library })
+        Ok(Detectors { ours, library })
     }
 
     fn look(&mut self, task: &Task, number: usize) -> Result<Report, String> {

@@ -294,7 +294,7 @@ pub(super) fn look<'a>(
         views.push(View { table_from_camera, detections: Vec::new(), time, heights });
     }
     let seen = observe_views(cell, &views, None).map_err(|error| chain(&error))?;
-    seen.foreign.ok_or_else(|| "neither depth nor colour told of the table".to_string())
+    seen.foreign.ok_or_else(|| "neither depth nor colour showed the table".to_string())
 }
 
 /// A table, with something foreign of that kind on it.

@@ -399,7 +399,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_blur_and_light_are_as_asked() {
+    fn noise_blur_and_light_are_as_requested() {
         let (lens, mut random) = small();
         let table_from_camera = looking_down([0.0, 0.0], 0.5, [0.0, 0.0], 0.0);
         let noisy = Degrade { blur_px: 0.8, noise: 3.0, gradient: 0.0 };

@@ -287,7 +287,7 @@ mod tests {
     use rand::SeedableRng;
 
     #[test]
-    fn scenes_are_as_the_figures_ask_and_repeat() {
+    fn scenes_are_as_the_figures_request_and_repeat() {
         let mut random = ChaCha8Rng::seed_from_u64(1);
         let lens = Lens::new(bench_camera(), &mut random);
         let one = Scene::random(&lens, &[], &mut ChaCha8Rng::seed_from_u64(7));

@@ -12,7 +12,7 @@ use std::path::PathBuf;
 /// Shown under `celld calibrate empty --help`.
 pub(super) const HELP: &str = "\
 The arm moves: through the taught look poses, slower than 0.1 m/s, within `calibration_box` where
-there is one. As with every round of taught poses nobody asks again (--yes is for poses that celld
+there is one. As with every round of taught poses there is no further question (--yes is for poses that celld
 proposes itself), so keep the arm's reach free of people. Clear the table first; only the
 reference markers stay. If an object of the configuration is seen, nothing is kept.";
 

@@ -33,8 +33,8 @@ pub(super) fn finish(
     let solved = taken.solve(&drawn, known);
     let solved = solved.map_err(|error| Fault { message: chain(&error), code: 1 })?;
     report_solution(&solved);
-    let tied = touch::tied(config, &args.tie, &taken.provenance, &solved.table)?;
-    let tied = tied.as_ref().map(|(touched, tie)| (touched.fit(), tie));
+    let tied = touch::tied(config, &args.registration, &taken.provenance, &solved.table)?;
+    let tied = tied.as_ref().map(|(touched, registration)| (touched.fit(), registration));
     let set = taken.calibrated(solved, &drawn, tied);
     let paths = write_calibration(&set, &config.calibration)
         .map_err(|error| Fault { message: chain(&error), code: 1 })?;

@@ -2,7 +2,7 @@
 //!
 //! In: the command line. Out: what taking a round and solving it have in common.
 
-use crate::cli::calibrate::touch::TieArgs;
+use crate::cli::calibrate::touch::RegistrationArgs;
 use clap::Args;
 use std::path::PathBuf;
 
@@ -22,5 +22,5 @@ pub struct RoundArgs {
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub(super) drop: Vec<usize>,
     #[command(flatten)]
-    pub(super) tie: TieArgs,
+    pub(super) registration: RegistrationArgs,
 }

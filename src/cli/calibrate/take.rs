@@ -97,15 +97,15 @@ mod tests {
         }
         let source = FolderCamera::open(input.path(), None).unwrap();
         let mut camera = MonitoredCamera::new(Box::new(source), PictureLimits::STANDARD);
-        let mut asked = 0;
+        let mut requested = 0;
         let mut ready = || {
-            asked += 1;
+            requested += 1;
             true
         };
         take(&mut camera, &bench_board(), save.path(), 3, &mut ready).unwrap();
         let kept = |name: &str| Image::decode(&std::fs::read(save.path().join(name)).unwrap()).unwrap();
         assert!(kept("01.png") == first && kept("02.png") == second && !save.path().join("03.png").exists());
-        assert_eq!(asked, 5, "the fifth finds the recording at its end");
+        assert_eq!(requested, 5, "the fifth finds the recording at its end");
         let source = FolderCamera::open(input.path(), None).unwrap();
         let mut camera = MonitoredCamera::new(Box::new(source), PictureLimits::STANDARD);
         let none = tempfile::tempdir().unwrap();

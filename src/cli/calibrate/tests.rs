@@ -98,8 +98,9 @@ fn flange_from_camera(set: &CalibrationSet) -> Isometry3<f64> {
 }
 
 fn args_of(round: &Path, drop: Vec<usize>) -> RoundArgs {
-    let tie = touch::TieArgs { touches: None, drop_touch: vec![], tie_mm: 1.0, tie_deg: 0.2 };
-    RoundArgs { config: PathBuf::new(), from: Some(round.to_path_buf()), record: None, drop, tie }
+    let registration =
+        touch::RegistrationArgs { touches: None, drop_touch: vec![], tie_mm: 1.0, tie_deg: 0.2 };
+    RoundArgs { config: PathBuf::new(), from: Some(round.to_path_buf()), record: None, drop, registration }
 }
 
 /// A round over the example cell's reference markers, rendered through its own lens; returns the mount and
@@ -308,19 +309,23 @@ fn a_table_is_tied_to_touches_of_this_robot_and_survey() {
     let path = folder.path().join("touches.yaml");
     std::fs::write(&path, touches.to_yaml()).unwrap();
     let mut args = args_of(&round, vec![]);
-    args.tie.touches = Some(path.clone());
+    args.registration.touches = Some(path.clone());
     let solve = |args: &RoundArgs| {
         recorded(&config, args).and_then(|taken| finish(&config, taken, args, Wanted::MountAndTable))
     };
     let before = std::fs::read_to_string(&config.calibration.table).unwrap();
     let reported = solve(&args).unwrap_err();
     assert!(reported.code == 1 && reported.message.contains("touch 5 by"), "{reported:?}");
-    args.tie.drop_touch = vec![5];
-    let reported =
-        solve(&RoundArgs { tie: touch::TieArgs { tie_mm: 1e-3, ..args.tie.clone() }, ..args.clone() });
+    args.registration.drop_touch = vec![5];
+    let reported = solve(&RoundArgs {
+        registration: touch::RegistrationArgs { tie_mm: 1e-3, ..args.registration.clone() },
+        ..args.clone()
+    });
     assert!(reported.unwrap_err().message.contains("touch and camera disagree"));
-    let reported =
-        solve(&RoundArgs { tie: touch::TieArgs { drop_touch: vec![6], ..args.tie.clone() }, ..args.clone() });
+    let reported = solve(&RoundArgs {
+        registration: touch::RegistrationArgs { drop_touch: vec![6], ..args.registration.clone() },
+        ..args.clone()
+    });
     assert!(reported.unwrap_err().message.contains("touches 1 to 5"));
     assert_eq!(std::fs::read_to_string(&config.calibration.table).unwrap(), before, "nothing was written");
     solve(&args).unwrap();
@@ -351,9 +356,9 @@ fn touches_of(config: &CellConfig, provenance: &Provenance, touched: &[(u32, f64
     touches.to_yaml()
 }
 
-fn tie_to(touches: &Path, drop_touch: &[usize]) -> touch::TieArgs {
+fn tie_to(touches: &Path, drop_touch: &[usize]) -> touch::RegistrationArgs {
     let touches = Some(touches.to_path_buf());
-    touch::TieArgs { touches, drop_touch: drop_touch.to_vec(), tie_mm: 1.0, tie_deg: 0.2 }
+    touch::RegistrationArgs { touches, drop_touch: drop_touch.to_vec(), tie_mm: 1.0, tie_deg: 0.2 }
 }
 
 /// Four corners of the table, touched where they are.
@@ -383,10 +388,10 @@ fn touches_that_cannot_place_the_table_are_reported_before_anything_moves() {
     std::fs::write(&file, replace_times(&text, "127.0.0.2", "127.7.1.16", 3)).unwrap();
     for (touched, dropped, code, words) in UNFIT_TOUCHES {
         std::fs::write(&path, touches_of(&config, &provenance, touched)).unwrap();
-        let tie = tie_to(&path, dropped);
-        let reported = tie.fitted(&config).unwrap_err();
+        let registration = tie_to(&path, dropped);
+        let reported = registration.fitted(&config).unwrap_err();
         assert!(reported.code == code && reported.message.contains(words), "{reported:?}");
-        let args = RoundArgs { config: file.clone(), from: None, record: None, drop: vec![], tie };
+        let args = RoundArgs { config: file.clone(), from: None, record: None, drop: vec![], registration };
         assert_eq!(round(&args, Wanted::Table, None, Arc::default()), code, "{words}");
     }
 }
@@ -398,13 +403,13 @@ fn touches_and_mount_of_another_robot_are_reported_before_anything_moves() {
     let path = folder.path().join("touches.yaml");
     let provenance = read_calibration(&config).unwrap().hand_eye.provenance;
     std::fs::write(&path, touches_of(&config, &provenance, &FOUR)).unwrap();
-    let tie = tie_to(&path, &[]);
-    let fitted = tie.fitted(&config).unwrap().unwrap();
+    let registration = tie_to(&path, &[]);
+    let fitted = registration.fitted(&config).unwrap().unwrap();
     fitted.check_robot(&provenance).unwrap();
     let other = Provenance { robot_serial: "other".into(), ..provenance.clone() };
     assert!(fitted.check_robot(&other).unwrap_err().to_string().contains("touched with robot"));
     // The arm and the camera answer: then what was made with others is reported, and the mount too.
-    let args = RoundArgs { tie, ..args_of(Path::new("."), vec![]) };
+    let args = RoundArgs { registration, ..args_of(Path::new("."), vec![]) };
     fits_arm(&config, &args, Wanted::Table, &provenance).unwrap();
     assert!(fits_arm(&config, &args, Wanted::MountAndTable, &other).unwrap_err().message.contains("touched"));
     std::fs::remove_file(&config.calibration.hand_eye).unwrap();

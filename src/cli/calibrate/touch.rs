@@ -66,7 +66,7 @@ pub struct Tip([f64; 3]);
 
 /// Tying the table to touches.
 #[derive(Args, Clone, Debug)]
-pub struct TieArgs {
+pub struct RegistrationArgs {
     /// Register the table to these touches (`celld calibrate touches`).
     #[arg(long, value_name = "FILE")]
     pub(super) touches: Option<PathBuf>,
@@ -201,7 +201,7 @@ fn enter() -> bool {
     std::io::stdin().read_line(&mut line).is_ok_and(|count| count > 0)
 }
 
-impl TieArgs {
+impl RegistrationArgs {
     /// The touches, if any were given, and the table by them alone. What is wrong with them is to be
     /// reported before the arm moves for them.
     ///
@@ -229,7 +229,7 @@ fn read(path: &Path) -> Result<Touches, String> {
 /// As [`TieArgs::fitted`] and [`FittedTouches::check_robot`], or a disagreement.
 pub(super) fn tied(
     config: &CellConfig,
-    args: &TieArgs,
+    args: &RegistrationArgs,
     taken: &Provenance,
     camera: &HandEye,
 ) -> Result<Option<(FittedTouches, Registration)>, Fault> {
@@ -237,20 +237,21 @@ pub(super) fn tied(
     touched.check_robot(taken)?;
     report(touched.touches(), touched.used(), touched.fit());
     let limits = RegistrationLimits { shift_m: args.tie_mm / 1e3, turn_rad: rad_from_deg(args.tie_deg) };
-    let tie = touched.tie(camera, [config.workspace.width_m, config.workspace.height_m], &limits)?;
-    let [x, y, z] = [tie.shift_m.x, tie.shift_m.y, tie.shift_m.z].map(mm_from_m);
+    let registration =
+        touched.register(camera, [config.workspace.width_m, config.workspace.height_m], &limits)?;
+    let [x, y, z] = [registration.shift_m.x, registration.shift_m.y, registration.shift_m.z].map(mm_from_m);
     complain(&format!(
         "touch less camera: {x:+.2}, {y:+.2}, {z:+.2} mm at the table's middle, {:.3} degrees; {:.1} \
          standard deviations",
-        deg_from_rad(tie.turn_rad),
-        tie.in_std
+        deg_from_rad(registration.turn_rad),
+        registration.in_std
     ));
     complain(&format!(
         "table by both: within {:.2} mm, {:.3} degrees (standard deviations)",
-        mm_from_m(tie.std.translation_m),
-        deg_from_rad(tie.std.rotation_rad)
+        mm_from_m(registration.std.translation_m),
+        deg_from_rad(registration.std.rotation_rad)
     ));
-    Ok(Some((touched, tie)))
+    Ok(Some((touched, registration)))
 }
 
 /// Every touch with its error.

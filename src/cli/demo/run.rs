@@ -3,7 +3,7 @@
 //! In: an instance that fits the cell. Out: [`DemoOutcome`]; files are written by `output`. Calibration
 //! comes first, as in a real cell: the daemon's nominal numbers are off by millimetres.
 
-use crate::cli::demo::watch::Watch;
+use crate::cli::demo::watch::DemoObserver;
 use crate::config::cell::{CameraDevice, CellConfig, Devices, RecordedPictures};
 use crate::config::sessions::machine_parameters;
 use crate::config::setup::{Measured, cell_model, drawn, nominal_model, scene};
@@ -101,7 +101,7 @@ async fn with_sim(
     config: &CellConfig,
     sim: &RunningSim,
     stop: &Arc<AtomicBool>,
-) -> Result<(HandEye, Watch), String> {
+) -> Result<(HandEye, DemoObserver), String> {
     let addresses = Addresses {
         rtde: sim.addresses.robot.rtde,
         dashboard: sim.addresses.robot.dashboard,
@@ -126,7 +126,7 @@ async fn with_sim(
     shell.keep_in(Box::new(job), Sources::of(Vec::new()));
     let recorder =
         Recorder::create(&out.join("run.mcap"), RecordedPictures::Jpeg, Some(measured.camera.clone()));
-    let mut watch = Watch::new(recorder);
+    let mut watch = DemoObserver::new(recorder);
     shell.run(&mut watch, &|_| stop.load(Ordering::Relaxed)).await.map_err(|error| error.to_string())?;
     Ok((calibration, watch))
 }

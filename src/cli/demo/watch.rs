@@ -14,22 +14,22 @@ use cell_values::time::Timestamp;
 use indicatif::{ProgressBar, ProgressStyle};
 
 /// Shows, records and keeps a run.
-pub struct Watch {
+pub struct DemoObserver {
     bar: ProgressBar,
     recorder: Recorder,
     /// Everything kept of it.
     pub kept: Kept,
 }
 
-impl Watch {
+impl DemoObserver {
     /// Shows progress on stderr and records.
-    pub fn new(recorder: Recorder) -> Watch {
+    pub fn new(recorder: Recorder) -> DemoObserver {
         let bar = ProgressBar::new(0);
         let template = "{spinner} [{elapsed_precise}] {bar:24} {pos}/{len} moves  {msg}";
         if let Ok(style) = ProgressStyle::with_template(template) {
             bar.set_style(style);
         }
-        Watch { bar, recorder, kept: Kept::default() }
+        DemoObserver { bar, recorder, kept: Kept::default() }
     }
 
     /// Ends progress and recording; the recording's fault, if it had one.
@@ -46,7 +46,7 @@ impl Watch {
     }
 }
 
-impl Observer for Watch {
+impl Observer for DemoObserver {
     fn on(&mut self, now: Timestamp, scene: Scene) {
         self.recorder.on(now, &scene);
         match scene {

@@ -83,10 +83,15 @@ pub async fn export(args: &ExportArgs) -> Result<(), Failure> {
                 Form::Csv => {
                     outln!("time,cell,series,number,kind,job,words");
                     for event in wanted {
-                        let told = field(&words(event));
+                        let event_words = field(&words(event));
                         let job = field(event.job.as_deref().unwrap_or_default());
                         let (time, kind) = (utc::text(event.unix_s), event.what.kind());
-                        outln!("{time},{},{},{},{kind},{job},{told}", event.cell, event.series, event.number);
+                        outln!(
+                            "{time},{},{},{},{kind},{job},{event_words}",
+                            event.cell,
+                            event.series,
+                            event.number
+                        );
                     }
                 }
             }

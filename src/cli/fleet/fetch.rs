@@ -1,7 +1,7 @@
 //! `celld fleet fetch`: pictures, plans and recordings of a job, from the cell that did it.
 //!
 //! In: a job's id, what is wanted. Out: files in a folder, their paths on stdout. The cell puts them into
-//! the fleet's object store when it is asked to, and they are read from there: only what is wanted is
+//! the fleet's object store on request, and they are read from there: only what is wanted is
 //! copied.
 
 use crate::cli::fleet::reach::{Failure, ReachArgs};
@@ -54,7 +54,7 @@ pub async fn fetch(args: &FetchArgs) -> Result<(), Failure> {
             })?
         }
     };
-    let answer = client.ask_for_files(&cell, &args.job, &args.what).await?;
+    let answer = client.request_for_files(&cell, &args.job, &args.what).await?;
     if !answer.accepted {
         return Err(Failure::Failed(format!("{cell}: {}", answer.message)));
     }

@@ -8,7 +8,7 @@ use crate::fleet::words::words;
 use crate::jobs::utc;
 use cell_fleet::client::{Client, Story};
 use cell_fleet::payloads::Claim;
-use cell_fleet::subjects::{Asked, Target};
+use cell_fleet::subjects::{RequestKind, Target};
 use clap::Args;
 use std::fmt::Write as _;
 
@@ -85,20 +85,20 @@ async fn waits_at(client: &Client, job: &str) -> Result<String, Failure> {
 }
 
 pub async fn approve(args: &ApproveArgs) -> Result<(), Failure> {
-    decide(&args.decide, Asked::Approve, Some(args.plan)).await
+    decide(&args.decide, RequestKind::Approve, Some(args.plan)).await
 }
 
 pub async fn reject(args: &DecideArgs) -> Result<(), Failure> {
-    decide(args, Asked::Reject, None).await
+    decide(args, RequestKind::Reject, None).await
 }
 
-async fn decide(args: &DecideArgs, asked: Asked, plan: Option<u64>) -> Result<(), Failure> {
+async fn decide(args: &DecideArgs, requested: RequestKind, plan: Option<u64>) -> Result<(), Failure> {
     let client = args.reach.client().await?;
     let cell = match &args.cell {
         Some(cell) => cell.clone(),
         None => waits_at(&client, &args.job).await?,
     };
-    let answer = client.ask(&cell, asked, &args.job, plan).await?;
+    let answer = client.request(&cell, requested, &args.job, plan).await?;
     let said = format!("{cell}: {}", answer.message);
     match answer.accepted {
         true => {
@@ -138,12 +138,12 @@ pub async fn why(args: &JobArgs) -> Result<(), Failure> {
             args.job
         )));
     }
-    outln!("{}", told(&args.job, &story).trim_end());
+    outln!("{}", story_text(&args.job, &story).trim_end());
     Ok(())
 }
 
 /// A job's story in lines.
-fn told(job: &str, story: &Story) -> String {
+fn story_text(job: &str, story: &Story) -> String {
     let mut text = story.claim.as_ref().map_or_else(|| format!("{job}: no cell has it\n"), head);
     for (cell, (epoch, reason)) in &story.refusals {
         let _ = writeln!(text, "  {cell} refuses it (epoch {epoch}): {reason}");
@@ -192,7 +192,7 @@ mod tests {
             what: What::Step { step: 1, of: 2 },
         };
         let story = Story { claim: Some(claim), events: vec![event], ..Story::default() };
-        let text = told("tidy", &story);
+        let text = story_text("tidy", &story);
         assert_eq!(
             text,
             "tidy: aside, epoch 1, for label=any by anna\n  c1: no object mug\n  2026-11-21T08:00:00Z  c1: move 1 of \

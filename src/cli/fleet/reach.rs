@@ -1,4 +1,4 @@
-//! How the server of a fleet is reached from a terminal, and who asks.
+//! How the server of a fleet is reached from a terminal, and by whom.
 //!
 //! In: options, or the `fleet:` section of a cell's configuration. Out: a connection, or why there is none.
 
@@ -9,7 +9,7 @@ use cell_fleet::client::Client;
 use clap::Args;
 use std::path::PathBuf;
 
-/// How the server is reached, and who asks.
+/// How the server is reached, and by whom.
 #[derive(Args, Clone, Debug)]
 pub struct ReachArgs {
     /// A cell's configuration whose `fleet:` section names fleet and server

@@ -39,8 +39,8 @@ pub struct SimulateArgs {
     #[arg(long)]
     pub(super) replay: bool,
     /// How the cell sees: rendered pictures with the real detector, or marker corners with its noise
-    #[arg(long, value_enum, default_value_t = EyeArg::Corners)]
-    pub(super) eye: EyeArg,
+    #[arg(long, value_enum, default_value_t = SightArg::Corners)]
+    pub(super) eye: SightArg,
     /// Write what happened, line by line, to this file; the same seed writes the same bytes
     #[arg(long, value_name = "FILE")]
     pub(super) trace: Option<PathBuf>,
@@ -53,7 +53,7 @@ of simulated time the rules that hold at all times are checked against the simul
 
 /// How the cell sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum EyeArg {
+pub enum SightArg {
     /// Rendered pictures with the real detector.
     Pictures,
     /// Marker corners with the detector's noise.

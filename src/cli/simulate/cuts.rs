@@ -5,8 +5,8 @@
 
 use super::args::{SimulateArgs, keep_trace};
 use crate::cli::progress::Progress;
+use crate::pair::camera_view::SightKind;
 use crate::pair::cuts::{cut, moments};
-use crate::pair::eyes::Eye;
 use crate::pair::table::stage;
 use cell_edge::terminal::{complain, print};
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
@@ -56,7 +56,7 @@ fn all_cases(args: &SimulateArgs) -> Result<Vec<(u64, usize)>, String> {
     let seeds = args.seed..args.seed.saturating_add(args.jobs as u64);
     let bar = Progress::new(args.jobs, "jobs carried out whole");
     let count = |seed| {
-        let count = moments(&stage(seed, Eye::Corners)?, seed)?;
+        let count = moments(&stage(seed, SightKind::Corners)?, seed)?;
         bar.inc();
         Ok((seed, count))
     };
@@ -71,7 +71,7 @@ fn all_cases(args: &SimulateArgs) -> Result<Vec<(u64, usize)>, String> {
 }
 
 fn one(args: &SimulateArgs, seed: u64, moment: usize, bar: &Progress) -> Result<bool, String> {
-    let (found, pair) = cut(&stage(seed, Eye::Corners)?, seed, moment, args.trace.is_some())?;
+    let (found, pair) = cut(&stage(seed, SightKind::Corners)?, seed, moment, args.trace.is_some())?;
     keep_trace(args, &pair)?;
     if !found.faults.is_empty() {
         let again =

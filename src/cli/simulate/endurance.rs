@@ -6,8 +6,8 @@
 
 use super::args::{SimulateArgs, keep_trace};
 use crate::pair::Choice;
+use crate::pair::camera_view::SightKind;
 use crate::pair::endurance::{Course, Period, endurance};
-use crate::pair::eyes::Eye;
 use crate::pair::table::stage;
 use cell_edge::terminal::{complain, print};
 use std::collections::BTreeMap;
@@ -29,7 +29,7 @@ pub(super) fn run(args: &SimulateArgs, hours: u32) -> u8 {
 
 fn hours_of_work(args: &SimulateArgs, hours: u32) -> Result<u8, String> {
     let course = Course { periods: hours, period_s: 3600.0, fault_every_s: FAULT_EVERY_S };
-    let stage = stage(args.seed, Eye::Corners)?;
+    let stage = stage(args.seed, SightKind::Corners)?;
     let choice = Choice { keep_trace: args.trace.is_some(), ..Choice::of(args.seed) };
     let began = Instant::now();
     let mut sizes: Vec<(Period, u64)> = Vec::new();

@@ -4,7 +4,7 @@
 
 use super::args::{SimulateArgs, keep_trace};
 use crate::cli::progress::Progress;
-use crate::pair::eyes::Eye;
+use crate::pair::camera_view::SightKind;
 use crate::pair::hands::hands;
 use crate::pair::table::stage;
 use cell_edge::terminal::{complain, print};
@@ -19,7 +19,7 @@ pub(super) fn run(args: &SimulateArgs) -> u8 {
     let ran: Result<Vec<usize>, String> = seeds
         .into_par_iter()
         .map(|seed| {
-            let (faults, pair) = hands(&stage(seed, Eye::Corners)?, seed, args.trace.is_some())?;
+            let (faults, pair) = hands(&stage(seed, SightKind::Corners)?, seed, args.trace.is_some())?;
             keep_trace(args, &pair)?;
             bar.inc();
             if !faults.is_empty() {

@@ -5,7 +5,7 @@
 
 use crate::cli::progress::Progress;
 use crate::cli::simulate::args::SimulateArgs;
-use crate::pair::eyes::Eye;
+use crate::pair::camera_view::SightKind;
 use crate::pair::orders::{Given, ORDERS_SEED, State, case, cases, judge};
 use crate::pair::orders_page::{OrderCase, PAGE, expected, line, title, write};
 use crate::pair::table::stage;
@@ -20,7 +20,7 @@ pub(super) fn run(args: &SimulateArgs) -> u8 {
         cases().filter(|(state, given)| wanted(&title(state, given))).collect();
     let bar = Progress::new(chosen.len(), "cases");
     let began = Instant::now();
-    let ran: Result<Vec<OrderCase>, String> = stage(ORDERS_SEED, Eye::Corners).and_then(|stage| {
+    let ran: Result<Vec<OrderCase>, String> = stage(ORDERS_SEED, SightKind::Corners).and_then(|stage| {
         let found = chosen.par_iter().map(|&(state, given)| {
             let found = case(&stage, state, given)?;
             bar.inc();

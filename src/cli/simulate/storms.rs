@@ -6,7 +6,7 @@
 use super::args::{SimulateArgs, keep_trace};
 use crate::cli::progress::Progress;
 use crate::pair::Choice;
-use crate::pair::eyes::Eye;
+use crate::pair::camera_view::SightKind;
 use crate::pair::storm::{Aftermath, Strike, fewest, storm, strikes};
 use crate::pair::table::stage;
 use cell_edge::terminal::{complain, print};
@@ -41,7 +41,7 @@ pub(super) fn run(args: &SimulateArgs) -> u8 {
 }
 
 fn one(args: &SimulateArgs, seed: u64, bar: &Progress) -> Result<(usize, Aftermath), String> {
-    let stage = stage(seed, Eye::Corners)?;
+    let stage = stage(seed, SightKind::Corners)?;
     let all = strikes(seed);
     let chosen = chosen(args.only.as_deref(), &all)?;
     let choice = Choice { keep_trace: args.trace.is_some(), replay: args.replay, ..Choice::of(seed) };

@@ -1,4 +1,4 @@
-//! Plans and pictures in the folders of jobs, for whoever approves or asks later.
+//! Plans and pictures in the folders of jobs, for whoever approves or looks later.
 //!
 //! In: the active job's plan, the camera's last picture. Out: `plan.json`, `plan.svg`, `plan.jpg` with the
 //! numbered moves, `end.jpg`. They are copies: a disk that does not take them keeps nothing back.

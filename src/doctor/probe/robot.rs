@@ -130,15 +130,15 @@ fn connect(host: &str, port: u16) -> Result<TcpStream, LinkFault> {
 
 fn dashboard(host: &str, clock: &Clock) -> Result<DashboardFacts, LinkFault> {
     let mut line = Line::connect(host, Link::Dashboard, clock, DashboardSession::default())?;
-    let (mut facts, mut buffer, mut asked) = (DashboardFacts::default(), [0; 4096], clock.now());
+    let (mut facts, mut buffer, mut requested) = (DashboardFacts::default(), [0; 4096], clock.now());
     // The last of what the session queries by itself.
     while facts.safety_mode.is_none() {
         line.turn(&mut buffer)?;
         while let Some(event) = line.session.poll_event() {
             match event {
                 DashboardEvent::Reply { command, reply } => {
-                    facts.slowest = facts.slowest.max(clock.now().since(asked));
-                    asked = clock.now();
+                    facts.slowest = facts.slowest.max(clock.now().since(requested));
+                    requested = clock.now();
                     take_reply(&mut facts, &command, reply);
                 }
                 DashboardEvent::Fault(cause) => return Err(LinkFault::Broken(cause)),
@@ -195,7 +195,7 @@ fn primary(host: &str, clock: &Clock) -> Result<PrimaryFacts, LinkFault> {
 fn rtde(host: &str, clock: &Clock) -> Result<RtdeFacts, LinkFault> {
     let mut line = Line::connect(host, Link::Rtde, clock, RtdeSession::new(RTDE_HZ, NO_MARK))?;
     let (mut facts, mut buffer) = (RtdeFacts::default(), [0; 64 * 1024]);
-    let mut watch = Watch::default();
+    let mut watch = ArrivalStats::default();
     while watch.since.is_none_or(|since| clock.now().since(since) < WATCHED) {
         line.turn(&mut buffer)?;
         while let Some(event) = line.session.poll_event() {
@@ -226,7 +226,7 @@ fn rtde(host: &str, clock: &Clock) -> Result<RtdeFacts, LinkFault> {
 
 /// How steadily states come.
 #[derive(Default)]
-struct Watch {
+struct ArrivalStats {
     since: Option<Timestamp>,
     last: Timestamp,
     packages: u32,
@@ -235,7 +235,7 @@ struct Watch {
     longest_gap: Duration,
 }
 
-impl Watch {
+impl ArrivalStats {
     /// States that come in one read count as one arrival; none of them is lost.
     fn saw(&mut self, now: Timestamp, controller_time_s: f64) {
         if self.since.is_none() {

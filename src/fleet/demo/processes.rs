@@ -52,7 +52,7 @@ impl Process {
     }
 
     /// That it should end.
-    fn ask_to_end(&self) {
+    fn request_to_end(&self) {
         let id = i32::try_from(self.child.id()).ok().and_then(Pid::from_raw);
         if let Some(id) = id {
             // It may have ended.
@@ -63,7 +63,7 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
-        self.ask_to_end();
+        self.request_to_end();
         let begun = Instant::now();
         while matches!(self.child.try_wait(), Ok(None)) {
             if begun.elapsed() > END_WITHIN {
@@ -78,7 +78,7 @@ impl Drop for Process {
 
 /// Ends all of them at once, not one after the other.
 pub fn end(processes: Vec<Process>) {
-    processes.iter().for_each(Process::ask_to_end);
+    processes.iter().for_each(Process::request_to_end);
     drop(processes);
 }
 

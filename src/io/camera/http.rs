@@ -269,7 +269,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn depth_comes_with_the_picture_where_it_is_asked_for_and_a_wrong_or_old_one_is_an_error() {
+    fn depth_comes_with_the_picture_where_it_is_requested_and_a_wrong_or_old_one_is_an_error() {
         let (head, colour) = picture(9, 12);
         let answers = vec![
             picture(2, 9),

@@ -202,7 +202,7 @@ mod tests {
         (camera, log)
     }
 
-    fn asked(log: &Mutex<String>) -> String {
+    fn requested(log: &Mutex<String>) -> String {
         std::mem::take(&mut *log.lock().unwrap())
     }
 
@@ -212,7 +212,7 @@ mod tests {
             camera(&[Does::Good, Does::Unplugged, Does::Unplugged, Does::Unplugged, Does::Good], true, true);
         assert_eq!(camera.grab().unwrap().sequence, 1);
         assert_eq!(camera.grab().unwrap().sequence, 2);
-        assert_eq!(asked(&log), "ggggog");
+        assert_eq!(requested(&log), "ggggog");
     }
 
     #[test]
@@ -227,20 +227,20 @@ mod tests {
         for (does, kind, steps) in cases {
             let (mut camera, log) = camera(&[Does::Good, does], true, true);
             camera.grab().unwrap();
-            asked(&log);
+            requested(&log);
             let fault = camera.grab().unwrap_err();
-            assert_eq!((fault.kind(), asked(&log).as_str()), (kind, steps));
+            assert_eq!((fault.kind(), requested(&log).as_str()), (kind, steps));
         }
     }
 
     #[test]
-    fn a_frozen_camera_is_frozen_at_the_second_asking_too() {
+    fn a_frozen_camera_is_frozen_at_the_second_requesting_too() {
         let (mut camera, log) = camera(&[Does::Good, Does::SameFrame], true, false);
         camera.grab().unwrap();
-        asked(&log);
+        requested(&log);
         for _ in 0..2 {
             let fault = camera.grab().unwrap_err();
-            assert_eq!((fault.kind(), asked(&log).as_str()), (FaultKind::Frozen, "gggogog"));
+            assert_eq!((fault.kind(), requested(&log).as_str()), (FaultKind::Frozen, "gggogog"));
             let CameraError::GivenUp { tried, .. } = fault else { panic!("{fault}") };
             assert_eq!(tried, "asked again 2 x, connected anew 2 x");
         }
@@ -251,6 +251,6 @@ mod tests {
         let (mut camera, log) = camera(&[Does::Black, Does::Good], false, true);
         assert_eq!(camera.grab().unwrap_err().kind(), FaultKind::Dark);
         assert_eq!(camera.grab().unwrap().sequence, 2);
-        assert_eq!(asked(&log), "gg");
+        assert_eq!(requested(&log), "gg");
     }
 }

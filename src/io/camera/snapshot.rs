@@ -61,7 +61,7 @@ impl SnapshotCamera {
 
     /// The first picture after the one that the camera holds now.
     fn new_picture(&self) -> Result<Image, CameraError> {
-        let asked = Instant::now();
+        let requested = Instant::now();
         let kept = content(&self.picture()?);
         loop {
             let picture = self.picture()?;
@@ -70,7 +70,7 @@ impl SnapshotCamera {
             if reported.is_none() || reported != kept {
                 return Ok(picture);
             }
-            if asked.elapsed() >= self.renewal {
+            if requested.elapsed() >= self.renewal {
                 let (address, within) = (self.address.clone(), self.renewal);
                 return Err(CameraError::NotRenewed { address, within });
             }

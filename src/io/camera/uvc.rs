@@ -159,9 +159,9 @@ fn stamp_of(driver_ms: f64, now_ms: f64) -> Option<f64> {
 
 /// True for a picture whose exposure began after it was requested; without a time of the driver's only the
 /// count decides.
-fn is_fresh(stamp_ms: Option<f64>, asked_ms: f64, exposure: Duration, passed: u32) -> bool {
+fn is_fresh(stamp_ms: Option<f64>, requested_ms: f64, exposure: Duration, passed: u32) -> bool {
     let exposure_ms = exposure.as_secs_f64() * 1e3;
-    passed >= KEPT_MAX || stamp_ms.is_some_and(|stamp_ms| stamp_ms - exposure_ms >= asked_ms)
+    passed >= KEPT_MAX || stamp_ms.is_some_and(|stamp_ms| stamp_ms - exposure_ms >= requested_ms)
 }
 
 impl CameraSource for UvcCamera {
@@ -177,7 +177,7 @@ impl CameraSource for UvcCamera {
         let place = self.settings.device.display().to_string();
         // Exposure fits between two pictures; stamps are of its end at the latest.
         let exposure = Duration::from_secs(1) / self.settings.rate.max(1);
-        let (asked, asked_ms) = (Instant::now(), driver_now_ms());
+        let (requested, requested_ms) = (Instant::now(), driver_now_ms());
         let mut mat = Mat::default();
         let mut passed = 0;
         let stamp_ms = loop {
@@ -188,17 +188,17 @@ impl CameraSource for UvcCamera {
             if !matches!(read, Ok(true)) || mat.empty() {
                 // OpenCV waits ten seconds for a driver; a camera that was pulled out fails at once.
                 self.capture = None;
-                return Err(CameraError::Silent { place, limit: asked.elapsed() });
+                return Err(CameraError::Silent { place, limit: requested.elapsed() });
             }
             let stamp_ms = stamp_of(capture.get(CAP_PROP_POS_MSEC).unwrap_or(0.0), driver_now_ms());
-            if is_fresh(stamp_ms, asked_ms, exposure, passed) {
+            if is_fresh(stamp_ms, requested_ms, exposure, passed) {
                 break stamp_ms;
             }
             passed += 1;
         };
         let image = image_of(&mat)
             .map_err(|source| video_error(&self.settings.device, "a frame is not 8 bit colour", source))?;
-        let time_s = stamp_ms.unwrap_or(asked_ms) / 1e3;
+        let time_s = stamp_ms.unwrap_or(requested_ms) / 1e3;
         let frame = Frame { image, sequence: self.taken, time_s, source: place, depth: None };
         self.taken += 1;
         self.watch.check(&frame, self.lens.as_ref())?;
@@ -265,7 +265,7 @@ mod tests {
         std::fs::create_dir_all(system.join("null")).unwrap();
         symlink(usb.join("1-2:1.0"), system.join("null/device")).unwrap();
         let check = || check_device(&settings(Path::new("/dev/null")), &system, folder.path());
-        assert!(check().is_ok(), "a device without a serial number is taken as told");
+        assert!(check().is_ok(), "a device without a serial number is taken as it is named");
         std::fs::write(usb.join("serial"), "A1\n").unwrap();
         assert!(check().is_ok());
         std::fs::write(usb.join("serial"), "B2\n").unwrap();

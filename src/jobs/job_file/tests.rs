@@ -104,9 +104,9 @@ fn each_fault_is_named_where_it_is() {
 }
 
 #[test]
-fn a_goal_file_outside_the_goal_folder_is_not_even_asked_for() {
-    let asked = |path: &str| -> Result<String, String> { panic!("{path} was read") };
-    let context = JobContext { goal: None, approval: Approval::Job, read_goal: &asked, found: None };
+fn a_goal_file_outside_the_goal_folder_is_not_even_requested() {
+    let requested = |path: &str| -> Result<String, String> { panic!("{path} was read") };
+    let context = JobContext { goal: None, approval: Approval::Job, read_goal: &requested, found: None };
     for path in ["/dev/zero", "../goal.yaml", "below/../../goal.yaml", ".", "''"] {
         let text = format!("version: 1\ngoal: {{file: {path}}}\nseed: x\n");
         let reported = read_job(&text, "job.yaml", &context).unwrap_err().to_string();

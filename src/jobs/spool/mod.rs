@@ -195,7 +195,7 @@ pub enum SpoolEvent {
         name: String,
     },
     /// A file could not be handled; it stays and is tried again.
-    Trouble {
+    Unreadable {
         /// Name in `incoming`.
         name: String,
         /// What happened.
@@ -216,7 +216,7 @@ pub struct Spool {
     jobs: PathBuf,
     settings: SpoolSettings,
     watched: BTreeMap<String, Watched>,
-    troubled: BTreeSet<String>,
+    unreadable_names: BTreeSet<String>,
     full: bool,
     /// What is still to be considered of the last listing of `incoming`.
     listing: VecDeque<scan::Entry>,
@@ -242,7 +242,7 @@ impl Spool {
             jobs,
             settings,
             watched: BTreeMap::new(),
-            troubled: BTreeSet::new(),
+            unreadable_names: BTreeSet::new(),
             full: false,
             listing: VecDeque::new(),
             listed: Timestamp::ZERO,

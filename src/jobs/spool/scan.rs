@@ -72,7 +72,7 @@ impl Spool {
             match self.consider(journal, &entry, &round) {
                 Ok(event) => events.extend(event),
                 Err(SpoolError::Files(error)) if error.is_absent() => {}
-                Err(SpoolError::Files(error)) => events.extend(self.trouble(&entry, &error)),
+                Err(SpoolError::Files(error)) => events.extend(self.unreadable(&entry, &error)),
                 Err(error) => return Err(error),
             }
         }
@@ -90,7 +90,7 @@ impl Spool {
         let mut entries = self.entries()?;
         let is_there = |name: &String| entries.binary_search_by(|entry| entry.name.cmp(name)).is_ok();
         self.watched.retain(|name, _| is_there(name));
-        self.troubled.retain(|name| is_there(name));
+        self.unreadable_names.retain(|name| is_there(name));
         let next = match self.listing.is_empty() {
             true => 0,
             false => entries.partition_point(|entry| entry.name <= self.last_name),
@@ -125,11 +125,11 @@ impl Spool {
         self.entries().map(|entries| entries.len())
     }
 
-    fn trouble(&mut self, entry: &Entry, error: &FileError) -> Option<SpoolEvent> {
+    fn unreadable(&mut self, entry: &Entry, error: &FileError) -> Option<SpoolEvent> {
         let cause = std::error::Error::source(error).map(|cause| format!(": {cause}")).unwrap_or_default();
-        let first = self.troubled.insert(entry.name.clone());
+        let first = self.unreadable_names.insert(entry.name.clone());
         let name = entry.name.clone();
-        first.then(|| SpoolEvent::Trouble { name, message: format!("{error}{cause}") })
+        first.then(|| SpoolEvent::Unreadable { name, message: format!("{error}{cause}") })
     }
 
     fn consider(

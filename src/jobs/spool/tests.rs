@@ -464,7 +464,7 @@ fn many_files_are_all_accounted_for_a_few_at_a_time() {
                 SpoolEvent::Rejected { .. } => refused += 1,
                 SpoolEvent::Cancel { id } => cancelled_after = Some((id, refused)),
                 SpoolEvent::Full { .. } => full += 1,
-                SpoolEvent::Trouble { .. } => panic!("{event:?}"),
+                SpoolEvent::Unreadable { .. } => panic!("{event:?}"),
             }
             if claimed.len() + refused == 100 {
                 bench.drop_file("zz.cancel", "");

@@ -6,7 +6,7 @@
 use crate::config::cell::CellConfig;
 use crate::page::calibration::kept::{Kept, keep};
 use crate::page::calibration::lens::LensWork;
-use crate::page::calibration::round::{Asked, RoundWork, Solution, solve};
+use crate::page::calibration::round::{Requested, RoundWork, Solution, solve};
 use crate::page::calibration::touch::TouchWork;
 use crate::page::feed::KnownCell;
 use axum::body::Bytes;
@@ -37,7 +37,7 @@ pub struct Request<'a> {
     /// Samples that are left out, from 1.
     pub dropped: &'a [usize],
     /// The table is tied to the touches.
-    pub tie: bool,
+    pub registration: bool,
     /// Now, in words.
     pub date: &'a str,
 }
@@ -81,8 +81,8 @@ impl Bench {
     ) -> Result<Solution, String> {
         let round = self.round.as_ref().ok_or("no round was taken yet")?;
         let touches = match &self.touches {
-            Some(work) if request.tie => Some(work.touches()),
-            None if request.tie => return Err("no point was touched yet".to_string()),
+            Some(work) if request.registration => Some(work.touches()),
+            None if request.registration => return Err("no point was touched yet".to_string()),
             _ => None,
         };
         let date = request.date.to_string();
@@ -91,8 +91,8 @@ impl Bench {
         // The table alone is seen through the lens for which the camera's place was found.
         let measured = measured.filter(|_| request.wanted != Wanted::Table);
         let lens = measured.unwrap_or_else(|| known.lens.clone());
-        let asked = Asked { wanted: request.wanted, dropped: request.dropped, touches, lens, date };
-        solve(config, known, round, asked)
+        let requested = Requested { wanted: request.wanted, dropped: request.dropped, touches, lens, date };
+        solve(config, known, round, requested)
     }
 
     /// Keeps what was solved: the solution of this number, which a person has looked at.

@@ -99,7 +99,7 @@ impl LensWork {
         ours.map(|found| (found.id, middle(&found.corners))).collect()
     }
 
-    /// Takes a picture that a person asks for; what it shows, or why it is not kept, is said.
+    /// Takes a picture that a person wants; what it shows, or why it is not kept, is said.
     pub fn picture(&mut self, of_now: Option<&Image>) {
         let none = || Err("the camera gives no picture at the moment: not kept; try again".to_string());
         self.said = of_now.map_or_else(none, |image| self.take(image)).unwrap_or_else(|fault| fault);

@@ -74,7 +74,7 @@ impl RoundWork {
 }
 
 /// What is wanted of a round.
-pub struct Asked<'a> {
+pub struct Requested<'a> {
     /// Camera and table, or the table alone.
     pub wanted: Wanted,
     /// Samples that are left out, by their numbers from 1.
@@ -103,29 +103,33 @@ pub fn solve(
     config: &CellConfig,
     known: &KnownCell,
     round: &RoundWork,
-    asked: Asked,
+    requested: Requested,
 ) -> Result<Solution, String> {
     let provenance = Provenance {
-        camera_serial: asked.lens.model.serial.clone(),
+        camera_serial: requested.lens.model.serial.clone(),
         robot_serial: known.arm.serial.clone(),
         kinematics_checksum: known.arm.checksum.clone(),
-        date: asked.date,
+        date: requested.date,
     };
-    let mut taken = Taken { lens: asked.lens, provenance, samples: round.samples.clone() };
-    taken.leave_out(asked.dropped)?;
+    let mut taken = Taken { lens: requested.lens, provenance, samples: round.samples.clone() };
+    taken.leave_out(requested.dropped)?;
     let drawn = drawn(config);
-    let before = match asked.wanted {
+    let before = match requested.wanted {
         Wanted::MountAndTable => None,
         Wanted::Table => Some(known_mount(config, &taken.provenance)?),
     };
     let solved = taken.solve(&drawn, before).map_err(|error| chain(&error))?;
-    let tied = match asked.touches {
+    let tied = match requested.touches {
         None => None,
         Some(touches) => Some(tied(config, &taken.provenance, touches, &solved)?),
     };
     let (mount, samples, lens) = (solved.hand_eye.mount, taken.samples.clone(), taken.lens.model.clone());
-    let mut view = shown(known, &solved, tied.as_ref().map(|(_, tie)| tie));
-    let set = taken.calibrated(solved, &drawn, tied.as_ref().map(|(touched, tie)| (touched.fit(), tie)));
+    let mut view = shown(known, &solved, tied.as_ref().map(|(_, registration)| registration));
+    let set = taken.calibrated(
+        solved,
+        &drawn,
+        tied.as_ref().map(|(touched, registration)| (touched.fit(), registration)),
+    );
     let marks = |sample: &Sample| {
         let camera = match mount {
             Mount::Flange { flange_from_camera } => sample.base_from_flange * flange_from_camera,
@@ -135,7 +139,7 @@ pub fn solve(
         off_by(sample, config, &camera_from_table, |point| lens.pixel([point.x, point.y, point.z]))
     };
     view["marks"] = json!(samples.iter().map(marks).collect::<Vec<_>>());
-    view["what"] = match asked.wanted {
+    view["what"] = match requested.wanted {
         Wanted::MountAndTable => "camera and table",
         Wanted::Table => "table",
     }
@@ -156,8 +160,8 @@ fn tied(
     fitted.check_robot(provenance).map_err(|error| error.to_string())?;
     let table_m = [config.workspace.width_m, config.workspace.height_m];
     let limits = RegistrationLimits { shift_m: TIE_MM / 1e3, turn_rad: rad_from_deg(TIE_DEG) };
-    let tie = fitted.tie(&solved.table, table_m, &limits).map_err(|error| error.to_string())?;
-    Ok((fitted, tie))
+    let registration = fitted.register(&solved.table, table_m, &limits).map_err(|error| error.to_string())?;
+    Ok((fitted, registration))
 }
 
 /// By how much each reference marker of a picture is off: where it was found, and how far that is from where
@@ -185,7 +189,7 @@ fn off_by(
     sample.detections.iter().filter_map(one).collect()
 }
 
-fn shown(known: &KnownCell, solved: &Solved, tie: Option<&Registration>) -> Value {
+fn shown(known: &KnownCell, solved: &Solved, registration: Option<&Registration>) -> Value {
     let (camera, table) = (&solved.hand_eye.std, &solved.table.base_from_table_std);
     let before = (known.model.mount, known.model.arm.base_from_table);
     let moved = |a: &Isometry3<f64>, b: &Isometry3<f64>| {
@@ -198,11 +202,11 @@ fn shown(known: &KnownCell, solved: &Solved, tie: Option<&Registration>) -> Valu
         _ => None,
     };
     let std = |translation_m: f64, rotation_rad: f64| json!({ "mm": mm_from_m(translation_m), "deg": deg_from_rad(rotation_rad) });
-    let tie = tie.map(|tie| {
+    let registration = registration.map(|registration| {
         json!({
-            "shift_mm": tie.shift_m.as_slice().iter().map(|m| mm_from_m(*m)).collect::<Vec<f64>>(),
-            "turn_deg": deg_from_rad(tie.turn_rad), "in_std": tie.in_std,
-            "std": std(tie.std.translation_m, tie.std.rotation_rad),
+            "shift_mm": registration.shift_m.as_slice().iter().map(|m| mm_from_m(*m)).collect::<Vec<f64>>(),
+            "turn_deg": deg_from_rad(registration.turn_rad), "in_std": registration.in_std,
+            "std": std(registration.std.translation_m, registration.std.rotation_rad),
         })
     });
     json!({
@@ -210,7 +214,7 @@ fn shown(known: &KnownCell, solved: &Solved, tie: Option<&Registration>) -> Valu
         "camera_std": std(camera.translation_m, camera.rotation_rad),
         "table_std": std(table.translation_m, table.rotation_rad),
         "camera_moved": camera_moved, "table_moved": moved(&before.1, &solved.table.base_from_table),
-        "tie": tie,
+        "tie": registration,
     })
 }
 

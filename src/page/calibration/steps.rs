@@ -1,4 +1,4 @@
-//! The steps of a calibration: what the page asks for, and what there is.
+//! The steps of a calibration: what the page requests, and what there is.
 //!
 //! In: steps of an engineer. Out: the state of the bench after each. None of them moves the arm; a round is
 //! ordered at `POST /api/v1/orders`.
@@ -83,7 +83,8 @@ pub enum Step {
         drop: Vec<usize>,
         /// The table is tied to the touches.
         #[serde(default)]
-        tie: bool,
+        #[serde(rename = "tie")]
+        registration: bool,
     },
     /// What was solved is written into the calibration files.
     Keep {
@@ -215,10 +216,10 @@ fn take(app: &Shared, step: Step) -> Result<(), Refused> {
             touches(app, |work| work.touch(&q, &qd))?;
         }
         Step::Untouch => touches(app, TouchWork::untouch)?,
-        Step::Solve { table_only, drop, tie } => {
+        Step::Solve { table_only, drop, registration } => {
             let known = app.feed.cell().ok_or_else(|| conflict("celld waits for the robot"))?;
             let wanted = if table_only { Wanted::Table } else { Wanted::MountAndTable };
-            let request = Request { wanted, dropped: &drop, tie, date: &utc::text(now) };
+            let request = Request { wanted, dropped: &drop, registration, date: &utc::text(now) };
             app.calibration().solve(&app.cell, &known, &request);
         }
         Step::Keep { number } => {

@@ -2,7 +2,7 @@
 //! camera's.
 //!
 //! In: [`Touch`]es (a point of the table and where the tip was in the base). Out: [`TouchFit`] with its
-//! covariance and each touch's error, or the sentence that says which point to touch besides; [`tie`]
+//! covariance and each touch's error, or the sentence that says which point to touch besides; [`register`]
 //! compares with the table that the camera sees and weighs the two by their covariances. Touching knows
 //! nothing of lens and mount, so the two can only agree when both are right. Pure.
 
@@ -83,7 +83,7 @@ pub enum TouchError {
     },
     /// All near one place.
     #[error(
-        "the touched points lie within {spread_mm:.0} mm of each other, too near to tell how the table lies: \
+        "the touched points lie within {spread_mm:.0} mm of each other, too near to each other to show how the table lies: \
          touch points at least {wanted_mm:.0} mm apart"
     )]
     TooClose {
@@ -295,7 +295,7 @@ const ELSEWHERE: &str = "See that the tip's offset (--tip-mm) is right and the t
 ///
 /// # Errors
 /// [`RegistrationError::Disagree`] above the limits, with what to look at.
-pub fn tie(
+pub fn register(
     camera: (&Isometry3<f64>, &Matrix6<f64>),
     touch: &TouchFit,
     middle: &Point3<f64>,
@@ -464,7 +464,7 @@ mod tests {
             let camera =
                 truth() * Isometry3::from_parts(off.fixed_rows::<3>(0).into_owned().into(), turn).inverse();
             let touch = fit_touches(&touches(&ROUND, 3e-4, &mut random), &Default::default()).unwrap();
-            let tied = tie((&camera, &by_camera), &touch, &middle_of_table(), &LIMITS).unwrap();
+            let tied = register((&camera, &by_camera), &touch, &middle_of_table(), &LIMITS).unwrap();
             ratio += normalised(&tied.base_from_table, &tied.covariance);
             disagreement += tied.in_std.powi(2);
             for (sum, pose) in squares.iter_mut().zip([camera, touch.base_from_table, tied.base_from_table]) {
@@ -490,7 +490,7 @@ mod tests {
         let covariance = Matrix6::identity() * 1e-8;
         let reported = |off: Isometry3<f64>| {
             let camera = truth() * off;
-            tie((&camera, &covariance), &touch, &middle_of_table(), &LIMITS).unwrap_err().to_string()
+            register((&camera, &covariance), &touch, &middle_of_table(), &LIMITS).unwrap_err().to_string()
         };
         let long = reported(Isometry3::translation(0.0, 0.0, -0.004));
         assert!(long.contains("+4.") && long.contains("mostly height"), "{long}");

@@ -9,9 +9,9 @@ use cell_fleet::fragments::Wanted;
 use cell_fleet::payloads::{CellState, Job, Outcome};
 use cell_fleet::run::run as take_part;
 use cell_fleet::server::Storage;
-use cell_fleet::side::{CellEvent, CellSide, FilesAsked, FragmentState, Ordered, Settings};
+use cell_fleet::side::{CellEvent, CellSide, FilesRequested, FragmentState, Ordered, Settings};
 use cell_fleet::store::Limits;
-use cell_fleet::subjects::{Asked, Fleet};
+use cell_fleet::subjects::{Fleet, RequestKind};
 use cell_fleet::values::Local;
 use rusqlite::{Connection, OptionalExtension};
 use std::path::Path;
@@ -99,11 +99,11 @@ impl CellSide for Side {
         })
     }
 
-    fn order(&mut self, _: Asked, _: &str, _: Option<u64>, _: &str) -> Ordered {
+    fn order(&mut self, _: RequestKind, _: &str, _: Option<u64>, _: &str) -> Ordered {
         oneshot::channel().1
     }
 
-    fn files(&mut self, _: &str, _: &[FileKind]) -> FilesAsked {
+    fn files(&mut self, _: &str, _: &[FileKind]) -> FilesRequested {
         oneshot::channel().1
     }
 

@@ -65,7 +65,7 @@ impl Hand {
         let hash = self.entry.job.sha256.get(..8).unwrap_or_default().to_string();
         let message = format!("there is another job {} with other content; this one is set aside", self.id());
         let code = "same_name".to_string();
-        world.want(Effect::Tell { job: Some(self.id().to_string()), what: What::Fault { code, message } });
+        world.want(Effect::Report { job: Some(self.id().to_string()), what: What::Fault { code, message } });
         let mut claim = self.new_claim(world, ClaimState::Aside);
         claim.cell = String::new();
         claim.job.id = format!("{}.{hash}", self.id().chars().take(70).collect::<String>());

@@ -31,7 +31,7 @@ impl Hand {
 
     fn ended(&mut self, world: &mut World, outcome: Outcome) {
         let what = What::Done { outcome: outcome.clone() };
-        world.want(Effect::Tell { job: Some(self.id().to_string()), what });
+        world.want(Effect::Report { job: Some(self.id().to_string()), what });
         self.entry.outcome = Some(outcome);
         let kept = if self.given_away { Kept::Closed } else { Kept::Ended };
         let step = if self.given_away { Step::Forgetting } else { Step::Ending };
@@ -72,7 +72,7 @@ impl Hand {
         }
         let message = "a person gave the job to another cell before it went into the spool here".to_string();
         let what = What::Fault { code: "given_away".to_string(), message };
-        world.want(Effect::Tell { job: Some(self.id().to_string()), what });
+        world.want(Effect::Report { job: Some(self.id().to_string()), what });
         self.forget(world);
     }
 
@@ -85,7 +85,7 @@ impl Hand {
             self.given_away = true;
             let message = "a person gave the job to another cell; it is given up here".to_string();
             let what = What::Fault { code: "given_away".to_string(), message };
-            world.want(Effect::Tell { job: Some(self.id().to_string()), what });
+            world.want(Effect::Report { job: Some(self.id().to_string()), what });
         }
         self.order_cancel(world);
     }

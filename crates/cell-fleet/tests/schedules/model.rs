@@ -5,8 +5,8 @@
 //! Requests of one connection arrive in order, and late; a connection that ends loses answers, not
 //! necessarily requests; a process that ends loses everything but its disk.
 
+mod disturbances;
 mod served;
-mod troubles;
 
 use cell_fleet::agent::Agent;
 use cell_fleet::payloads::{CellState, Claim, ClaimState, Outcome, VERSION, Wish};
@@ -35,7 +35,7 @@ enum Request {
 }
 
 #[derive(Clone, Debug)]
-enum Happening {
+enum SimEvent {
     /// A request reaches the server over this connection of a cell.
     Arrives {
         cell: usize,
@@ -43,7 +43,7 @@ enum Happening {
         request: Request,
     },
     /// Something reaches a cell's agent, if the process is still that one.
-    Told {
+    Received {
         cell: usize,
         process: u64,
         connection: Option<u64>,
@@ -134,7 +134,7 @@ pub struct World {
     fleet: Fleet,
     now: u64,
     next: u64,
-    queue: BTreeMap<(u64, u64), Happening>,
+    queue: BTreeMap<(u64, u64), SimEvent>,
     pub cells: Vec<Cell>,
     up: bool,
     counter: u64,
@@ -212,9 +212,9 @@ impl World {
         world
     }
 
-    fn at(&mut self, ms: u64, happening: Happening) {
+    fn at(&mut self, ms: u64, event: SimEvent) {
         self.next += 1;
-        self.queue.insert((ms.max(self.now), self.next), happening);
+        self.queue.insert((ms.max(self.now), self.next), event);
     }
 
     fn between(&mut self, low: u64, high: u64) -> u64 {
@@ -227,13 +227,13 @@ impl World {
         for cell in 0..self.cells.len() {
             if self.cells[cell].agent.is_none() {
                 // Started again, but for those that never come back.
-                let started = self.queue.values().any(|h| matches!(h, Happening::Start(c) if *c == cell));
+                let started = self.queue.values().any(|h| matches!(h, SimEvent::Start(c) if *c == cell));
                 self.cells[cell].dead = !started;
             }
         }
         self.run_until(900_000);
         let cells = self.cells.len();
-        (0..cells).for_each(|cell| self.happen(Happening::Arm(cell, true)));
+        (0..cells).for_each(|cell| self.happen(SimEvent::Arm(cell, true)));
         for _ in 0..60 {
             if self.open().is_empty() {
                 break;
@@ -259,59 +259,59 @@ impl World {
             if ms > until {
                 break;
             }
-            let happening = entry.remove();
+            let event = entry.remove();
             self.now = ms;
-            self.happen(happening);
+            self.happen(event);
         }
         self.now = until;
     }
 
-    fn happen(&mut self, happening: Happening) {
-        match happening {
-            Happening::Arrives { cell, connection, request } => self.arrives(cell, connection, request),
-            Happening::Told { cell, process, connection, input } => {
+    fn happen(&mut self, event: SimEvent) {
+        match event {
+            SimEvent::Arrives { cell, connection, request } => self.arrives(cell, connection, request),
+            SimEvent::Received { cell, process, connection, input } => {
                 let here = self.cells[cell].process == process;
                 if here && connection.is_none_or(|c| self.cells[cell].connection == Some(c)) {
-                    self.tell(cell, input);
+                    self.take_in(cell, input);
                 } else if here && let Some(lost) = lost(&input) {
-                    self.tell(cell, lost);
+                    self.take_in(cell, lost);
                 }
             }
-            Happening::Wake { cell, process } if self.cells[cell].process == process => {
-                self.tell(cell, Input::Time);
+            SimEvent::Wake { cell, process } if self.cells[cell].process == process => {
+                self.take_in(cell, Input::Time);
             }
-            Happening::State { cell, process } if self.cells[cell].process == process => self.state(cell),
-            Happening::Taken { cell, job } => self.taken(cell, job),
-            Happening::Over { cell, job } => {
+            SimEvent::State { cell, process } if self.cells[cell].process == process => self.state(cell),
+            SimEvent::Taken { cell, job } => self.taken(cell, job),
+            SimEvent::Over { cell, job } => {
                 // A cell that is down, or is disarmed, does not work.
                 if self.cells[cell].agent.is_none() || !self.cells[cell].armed {
                     let again = self.now + 1000;
-                    self.at(again, Happening::Over { cell, job });
+                    self.at(again, SimEvent::Over { cell, job });
                 } else if let Some(end) = self.cells[cell].journal.get_mut(&job) {
                     *end = Some(Outcome { status: "done".into(), moves: 3, ..Outcome::default() });
                 }
             }
-            Happening::OnDisk { cell, process, entry } => {
+            SimEvent::OnDisk { cell, process, entry } => {
                 let here = self.cells[cell].process == process;
                 // What was on its way to the disk when the process ended may be there or not.
                 if here || self.rng.random_bool(0.5) {
                     self.keep(cell, &entry);
                 }
                 if here {
-                    self.tell(cell, Input::Kept { job: entry.job.id, on_disk: true });
+                    self.take_in(cell, Input::Kept { job: entry.job.id, on_disk: true });
                 }
             }
-            Happening::Submit(job) => self.submit(job),
-            Happening::Wished(key, wish) => {
+            SimEvent::Submit(job) => self.submit(job),
+            SimEvent::Wished(key, wish) => {
                 self.wishes.insert(key.clone(), wish.clone());
                 self.broadcast(&Input::Wish { key, wish: Some(wish) });
             }
-            Happening::Deliver => {
+            SimEvent::Deliver => {
                 self.deliver();
                 let again = self.now + 1000;
-                self.at(again, Happening::Deliver);
+                self.at(again, SimEvent::Deliver);
             }
-            trouble => self.trouble(trouble),
+            disturbance => self.disturbance(disturbance),
         }
     }
 
@@ -322,9 +322,9 @@ impl World {
         self.cells[cell].process += 1;
         let process = self.cells[cell].process;
         let now = self.now;
-        self.at(now, Happening::State { cell, process });
+        self.at(now, SimEvent::State { cell, process });
         self.connect(cell);
-        self.tell(cell, Input::Time);
+        self.take_in(cell, Input::Time);
     }
 
     fn connect(&mut self, cell: usize) {
@@ -335,16 +335,16 @@ impl World {
         self.counter += 1;
         (here.connection, here.sent, here.heard) = (Some(self.counter), self.now, self.now);
         (here.pulls, here.follows) = (false, false);
-        self.told(cell, Input::Connected);
+        self.receives(cell, Input::Connected);
         for (name, (state, ms)) in self.states.clone() {
             let unix_s = ms as f64 / 1e3;
-            self.told(cell, Input::Cell { name, state: Some(Box::new(state)), unix_s });
+            self.receives(cell, Input::Cell { name, state: Some(Box::new(state)), unix_s });
         }
         for (key, wish) in self.wishes.clone() {
-            self.told(cell, Input::Wish { key, wish: Some(wish) });
+            self.receives(cell, Input::Wish { key, wish: Some(wish) });
         }
         for ((job, from), refusal) in self.refusals.clone() {
-            self.told(cell, Input::Refused { job, cell: from, refusal: Some(refusal) });
+            self.receives(cell, Input::Refused { job, cell: from, refusal: Some(refusal) });
         }
         if self.cells[cell].follows {
             self.follow(cell);
@@ -355,24 +355,24 @@ impl World {
         if self.cells[cell].connection.take().is_some() {
             (self.cells[cell].pulls, self.cells[cell].follows) = (false, false);
             if self.cells[cell].agent.is_some() {
-                self.tell(cell, Input::Disconnected);
+                self.take_in(cell, Input::Disconnected);
             }
         }
     }
 
     /// Something goes to a cell over its connection, after all that went before.
-    fn told(&mut self, cell: usize, input: Input) {
+    fn receives(&mut self, cell: usize, input: Input) {
         let delay = self.between(0, 40);
         let here = &mut self.cells[cell];
         here.heard = here.heard.max(self.now + delay);
         let (ms, process, connection) = (here.heard, here.process, here.connection);
-        self.at(ms, Happening::Told { cell, process, connection, input });
+        self.at(ms, SimEvent::Received { cell, process, connection, input });
     }
 
     fn broadcast(&mut self, input: &Input) {
         for cell in 0..self.cells.len() {
             if self.cells[cell].connection.is_some() {
-                self.told(cell, input.clone());
+                self.receives(cell, input.clone());
             }
         }
     }
@@ -380,11 +380,11 @@ impl World {
     fn state(&mut self, cell: usize) {
         let (process, ready) = (self.cells[cell].process, self.is_ready(cell));
         let again = self.now + 5000;
-        self.at(again, Happening::State { cell, process });
+        self.at(again, SimEvent::State { cell, process });
         if self.cells[cell].agent.is_none() {
             return;
         }
-        self.tell(cell, Input::Ready(ready));
+        self.take_in(cell, Input::Ready(ready));
         let here = &self.cells[cell];
         let holds = here.agent.as_ref().map(Agent::holds).unwrap_or_default();
         let state =
@@ -396,7 +396,7 @@ impl World {
         self.cells[cell].armed && self.cells[cell].journal.values().all(Option::is_some)
     }
 
-    fn tell(&mut self, cell: usize, input: Input) {
+    fn take_in(&mut self, cell: usize, input: Input) {
         let at = At { now: Timestamp::from_nanos(self.now * 1_000_000), unix_s: self.now as f64 / 1e3 };
         let Some(agent) = &mut self.cells[cell].agent else { return };
         agent.handle(at, input);
@@ -412,7 +412,7 @@ impl World {
             || wake < self.cells[cell].wakes.1
         {
             self.cells[cell].wakes = (process, wake);
-            self.at(wake, Happening::Wake { cell, process });
+            self.at(wake, SimEvent::Wake { cell, process });
         }
         effects.into_iter().for_each(|effect| self.carry_out(cell, effect));
     }
@@ -424,15 +424,15 @@ impl World {
         let process = self.cells[cell].process;
         let soon = self.now + self.between(1, 30);
         let mut locally = |input| {
-            self.at(soon, Happening::Told { cell, process, connection: None, input });
+            self.at(soon, SimEvent::Received { cell, process, connection: None, input });
         };
         match effect {
             Effect::Judge(job) => locally(Input::Judged { verdict: can_do(cell, &job.id), job: job.id }),
-            Effect::Keep(entry) => self.at(soon, Happening::OnDisk { cell, process, entry }),
+            Effect::Keep(entry) => self.at(soon, SimEvent::OnDisk { cell, process, entry }),
             Effect::HandIn(job) => {
                 locally(Input::HandedIn { job: job.id.clone(), result: Ok(()) });
                 let taken = soon + self.between(1, 900);
-                self.at(taken, Happening::Taken { cell, job: job.id });
+                self.at(taken, SimEvent::Taken { cell, job: job.id });
             }
             Effect::Look(job) => {
                 let state = match self.cells[cell].journal.get(&job) {
@@ -440,17 +440,15 @@ impl World {
                     Some(None) => Local::Open,
                     Some(Some(outcome)) => Local::Ended(outcome.clone()),
                 };
-                self.at(
-                    soon,
-                    Happening::Told { cell, process, connection: None, input: Input::Local { job, state } },
-                );
+                let input = Input::Local { job, state };
+                self.at(soon, SimEvent::Received { cell, process, connection: None, input });
             }
             Effect::Cancel { job, .. } => {
                 if let Some(end @ None) = self.cells[cell].journal.get_mut(&job) {
                     *end = Some(Outcome { status: "cancelled".into(), ..Outcome::default() });
                 }
             }
-            Effect::Tell { .. } => {}
+            Effect::Report { .. } => {}
             Effect::Pull(on) => self.send(cell, Request::Pull(on)),
             Effect::Settle(token, how) => self.send(cell, Request::Settle(token, how)),
             Effect::Read(job) => self.send(cell, Request::Read(job)),
@@ -480,7 +478,7 @@ impl World {
         let epoch = self.cells[cell].disk.get(&job).map_or(0, |entry| entry.job.epoch);
         self.carried_out.push((cell, job.clone(), epoch));
         let over = self.now + self.between(500, 20_000);
-        self.at(over, Happening::Over { cell, job });
+        self.at(over, SimEvent::Over { cell, job });
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! In: requests as they arrive. Out: answers, and what goes to every cell that follows.
 
-use super::{ACK_WAIT_MS, Cell, Happening, Message, Request, TIMEOUT_MS, World};
+use super::{ACK_WAIT_MS, Cell, Message, Request, SimEvent, TIMEOUT_MS, World};
 use cell_fleet::payloads::{Claim, ClaimState, Job, encode};
 use cell_fleet::subjects::{Key, Lane, Priority, Target};
 use cell_fleet::values::{Input, Settle, Written};
@@ -17,13 +17,13 @@ impl World {
         let Some(connection) = here.connection else {
             if let Some(input) = answer {
                 let ms = self.now + 1;
-                self.at(ms, Happening::Told { cell, process, connection: None, input });
+                self.at(ms, SimEvent::Received { cell, process, connection: None, input });
             }
             return;
         };
         here.sent = here.sent.max(self.now + delay);
         let ms = here.sent;
-        self.at(ms, Happening::Arrives { cell, connection, request });
+        self.at(ms, SimEvent::Arrives { cell, connection, request });
     }
 
     pub(super) fn arrives(&mut self, cell: usize, connection: u64, request: Request) {
@@ -35,10 +35,10 @@ impl World {
         let given = if carried_out { self.serve(cell, joined, request) } else { None };
         let Some(lost) = answer else { return };
         match given.filter(|_| joined) {
-            Some(input) => self.told(cell, input),
+            Some(input) => self.receives(cell, input),
             None => {
                 let ms = self.now + TIMEOUT_MS;
-                self.at(ms, Happening::Told { cell, process, connection: None, input: lost });
+                self.at(ms, SimEvent::Received { cell, process, connection: None, input: lost });
             }
         }
     }
@@ -119,9 +119,9 @@ impl World {
     pub(super) fn follow(&mut self, cell: usize) {
         for (claim, revision, ms) in self.claims.values().cloned().collect::<Vec<_>>() {
             let unix_s = ms as f64 / 1e3;
-            self.told(cell, Input::Claim { claim: Box::new(claim), revision, unix_s });
+            self.receives(cell, Input::Claim { claim: Box::new(claim), revision, unix_s });
         }
-        self.told(cell, Input::ClaimsKnown);
+        self.receives(cell, Input::ClaimsKnown);
     }
 
     fn write(&mut self, claim: Claim, over: Option<u64>) -> Written {
@@ -138,7 +138,7 @@ impl World {
         let input = Input::Claim { claim: Box::new(claim), revision, unix_s: self.now as f64 / 1e3 };
         for cell in 0..self.cells.len() {
             if self.cells[cell].follows && self.cells[cell].connection.is_some() {
-                self.told(cell, input.clone());
+                self.receives(cell, input.clone());
             }
         }
         Written::Done(revision)
@@ -147,7 +147,7 @@ impl World {
     pub(super) fn submit(&mut self, number: usize) {
         if !self.up {
             let again = self.now + 1000;
-            return self.at(again, Happening::Submit(number));
+            return self.at(again, SimEvent::Submit(number));
         }
         let target = match number % 4 {
             1 => Target::Label("even".into()),
@@ -210,7 +210,7 @@ impl World {
                 delivered: message.delivered,
                 payload: message.payload.clone(),
             };
-            self.told(taker, input);
+            self.receives(taker, input);
         }
     }
 }

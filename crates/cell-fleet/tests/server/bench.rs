@@ -11,9 +11,9 @@ use cell_fleet::fragments::Wanted;
 use cell_fleet::payloads::{CellState, Job, Outcome, What};
 use cell_fleet::run::run;
 use cell_fleet::server::Storage;
-use cell_fleet::side::{CellEvent, CellSide, FilesAsked, FragmentState, Ordered, Settings};
+use cell_fleet::side::{CellEvent, CellSide, FilesRequested, FragmentState, Ordered, Settings};
 use cell_fleet::store::Limits;
-use cell_fleet::subjects::{Asked, Fleet};
+use cell_fleet::subjects::{Fleet, RequestKind};
 use cell_fleet::values::Local;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -153,11 +153,11 @@ pub struct Disk {
     /// How often the arm set out for a job.
     pub carried_out: BTreeMap<String, u32>,
     /// What it was ordered.
-    pub ordered: Vec<(Asked, String, Option<u64>, String)>,
+    pub ordered: Vec<(RequestKind, String, Option<u64>, String)>,
     /// What it complained of last.
     pub complaints: Vec<String>,
     /// Faults of its own, to be reported.
-    pub told: Vec<String>,
+    pub announced: Vec<String>,
     pub disarmed: bool,
     /// The shared configuration that it should run with, as it was last: absent, none, or a text.
     pub wanted: Option<Option<String>>,
@@ -186,9 +186,10 @@ impl CellSide for Side {
     }
 
     fn events(&mut self) -> Vec<CellEvent> {
-        let told = std::mem::take(&mut self.disk.lock().unwrap().told);
+        let announced = std::mem::take(&mut self.disk.lock().unwrap().announced);
         let unix_s = std::time::SystemTime::UNIX_EPOCH.elapsed().unwrap().as_secs_f64();
-        told.into_iter()
+        announced
+            .into_iter()
             .map(|message| CellEvent { job: None, what: What::Fault { code: "t".into(), message }, unix_s })
             .collect()
     }
@@ -216,14 +217,14 @@ impl CellSide for Side {
         })
     }
 
-    fn order(&mut self, asked: Asked, job: &str, plan: Option<u64>, by: &str) -> Ordered {
+    fn order(&mut self, requested: RequestKind, job: &str, plan: Option<u64>, by: &str) -> Ordered {
         let (answer, answered) = oneshot::channel();
-        self.disk.lock().unwrap().ordered.push((asked, job.to_string(), plan, by.to_string()));
+        self.disk.lock().unwrap().ordered.push((requested, job.to_string(), plan, by.to_string()));
         let _ = answer.send((true, "agreed".to_string()));
         answered
     }
 
-    fn files(&mut self, job: &str, kinds: &[FileKind]) -> FilesAsked {
+    fn files(&mut self, job: &str, kinds: &[FileKind]) -> FilesRequested {
         let (answer, answered) = oneshot::channel();
         let disk = self.disk.lock().unwrap();
         let file = |kind: &FileKind| FileToSend {

@@ -8,7 +8,7 @@ use cell_fleet::client::Client;
 use cell_fleet::connect::{Access, Credentials};
 use cell_fleet::files::FileKind;
 use cell_fleet::payloads::{ClaimState, Job};
-use cell_fleet::subjects::{Asked, Fleet, Lane, Priority, Target};
+use cell_fleet::subjects::{Fleet, Lane, Priority, RequestKind, Target};
 use std::path::{Path, PathBuf};
 use tokio::runtime::Runtime;
 
@@ -100,9 +100,9 @@ fn the_settings_on_the_page_let_each_do_their_own_and_nothing_else() {
     until("its events are there", || {
         run.block_on(anna.why("tidy")).is_ok_and(|story| !story.events.is_empty())
     });
-    let answer = run.block_on(anna.ask("cell-1", Asked::Reject, "tidy", None)).unwrap();
+    let answer = run.block_on(anna.request("cell-1", RequestKind::Reject, "tidy", None)).unwrap();
     assert!(answer.accepted, "{answer:?}");
-    let files = run.block_on(anna.ask_for_files("cell-1", "tidy", &[FileKind::Plan])).unwrap();
+    let files = run.block_on(anna.request_for_files("cell-1", "tidy", &[FileKind::Plan])).unwrap();
     assert!(files.accepted, "{files:?}");
     let folder = tempfile::tempdir().unwrap();
     let path = run.block_on(anna.fetch("cell-1", "tidy", &files.files[0], folder.path())).unwrap();
@@ -125,7 +125,7 @@ fn the_settings_on_the_page_let_each_do_their_own_and_nothing_else() {
     let ben = site.person(&anna_key, "ben");
     for (what, refused) in [
         ("submit", site.submit(&ben, "of-ben").map(drop)),
-        ("approve", run.block_on(ben.ask("cell-1", Asked::Approve, "tidy", Some(1))).map(drop)),
+        ("approve", run.block_on(ben.request("cell-1", RequestKind::Approve, "tidy", Some(1))).map(drop)),
         ("publish", run.block_on(ben.publish_fragment(&Target::any(), "of ben", 1.0)).map(drop)),
         ("forget", run.block_on(ben.forget("cell-1"))),
     ] {

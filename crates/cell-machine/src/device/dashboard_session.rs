@@ -46,7 +46,7 @@ enum Step {
     Down,
     Greeting { deadline: Timestamp },
     Idle,
-    Asked { command: Command, deadline: Timestamp },
+    Requested { command: Command, deadline: Timestamp },
 }
 
 /// The session. See the module.
@@ -91,14 +91,14 @@ impl DashboardSession {
     /// True between greeting and loss.
     pub fn ready(&self) -> bool {
         match self.step {
-            Step::Idle | Step::Asked { .. } => true,
+            Step::Idle | Step::Requested { .. } => true,
             Step::Down | Step::Greeting { .. } => false,
         }
     }
 
     /// Sends a command as soon as those before it are answered; false if too many wait or the link is down.
     #[must_use]
-    pub fn ask(&mut self, now: Timestamp, command: Command) -> bool {
+    pub fn request(&mut self, now: Timestamp, command: Command) -> bool {
         if !self.ready() || self.waiting.len() >= MAX_WAITING {
             return false;
         }
@@ -107,9 +107,9 @@ impl DashboardSession {
         true
     }
 
-    /// As [`DashboardSession::ask`], before everything that waits.
+    /// As [`DashboardSession::request`], before everything that waits.
     #[must_use]
-    pub fn ask_first(&mut self, now: Timestamp, command: Command) -> bool {
+    pub fn request_first(&mut self, now: Timestamp, command: Command) -> bool {
         if !self.ready() {
             return false;
         }
@@ -144,11 +144,11 @@ impl DashboardSession {
             Step::Greeting { deadline } if now >= *deadline => {
                 self.silent("no greeting within 10 s".into());
             }
-            Step::Asked { command, deadline } if now >= *deadline => {
+            Step::Requested { command, deadline } if now >= *deadline => {
                 let detail = format!("no answer to {:?} within 2 s", command.line().trim_end());
                 self.silent(detail);
             }
-            Step::Greeting { .. } | Step::Asked { .. } | Step::Idle => {}
+            Step::Greeting { .. } | Step::Requested { .. } | Step::Idle => {}
         }
         if self.ready() && now >= self.next_poll {
             self.next_poll = now + POLL_EVERY;
@@ -167,7 +167,7 @@ impl DashboardSession {
             Step::Down => None,
             Step::Greeting { deadline } => Some((*deadline, "dashboard greeting")),
             Step::Idle => Some((self.next_poll, "dashboard poll")),
-            Step::Asked { deadline, .. } => {
+            Step::Requested { deadline, .. } => {
                 earlier(Some((*deadline, "dashboard reply")), Some((self.next_poll, "dashboard poll")))
             }
         }
@@ -194,7 +194,7 @@ impl DashboardSession {
         }
         if let Some(command) = self.waiting.pop_front() {
             self.outbox.send(command.line().into_bytes());
-            self.step = Step::Asked { command, deadline: now + REPLY_WITHIN };
+            self.step = Step::Requested { command, deadline: now + REPLY_WITHIN };
         }
     }
 
@@ -219,7 +219,7 @@ impl DashboardSession {
             Step::Greeting { .. } if line.starts_with(GREETING_START) => self.tick(now),
             Step::Greeting { .. } => self.fault(format!("greeting is {line:?}")),
             Step::Idle => self.fault(format!("line without a question: {line:?}")),
-            Step::Asked { command, .. } => match Reply::parse(&command, line) {
+            Step::Requested { command, .. } => match Reply::parse(&command, line) {
                 Ok(reply) => {
                     self.outbox.report(DashboardEvent::Reply { command, reply });
                     self.send_next(now);

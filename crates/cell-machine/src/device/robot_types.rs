@@ -299,7 +299,7 @@ pub enum Refused {
 pub enum ProgramEnd {
     /// By [`RobotCommand::EndProgram`].
     #[error("ended as asked")]
-    AsAsked,
+    AsRequested,
     /// By [`RobotCommand::Stop`] or because of a safety stop.
     #[error("stopped by celld")]
     StoppedByUs,

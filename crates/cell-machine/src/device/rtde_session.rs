@@ -62,16 +62,16 @@ pub enum RtdeEvent {
 #[derive(Deserialize, Serialize)]
 enum Step {
     Down,
-    AskedVersion {
+    RequestedVersion {
         deadline: Timestamp,
     },
-    AskedController {
+    RequestedController {
         deadline: Timestamp,
     },
-    AskedOutputs {
+    RequestedOutputs {
         deadline: Timestamp,
     },
-    AskedInputs {
+    RequestedInputs {
         index: usize,
         deadline: Timestamp,
         attempt: u32,
@@ -90,12 +90,12 @@ enum Step {
         retry_at: Timestamp,
         attempt: u32,
     },
-    AskedPause {
+    RequestedPause {
         index: usize,
         deadline: Timestamp,
         attempt: u32,
     },
-    AskedStart {
+    RequestedStart {
         deadline: Timestamp,
     },
     Streaming {
@@ -146,8 +146,8 @@ impl RtdeSession {
         self.version = Version::V1;
         self.inputs.clear();
         (self.latest, self.marked) = (None, None);
-        self.ask(&Request::ProtocolVersion(2));
-        self.step = Step::AskedVersion { deadline: now + ANSWER_WITHIN };
+        self.request(&Request::ProtocolVersion(2));
+        self.step = Step::RequestedVersion { deadline: now + ANSWER_WITHIN };
     }
 
     /// The TCP connection is gone.
@@ -187,12 +187,12 @@ impl RtdeSession {
     pub fn tick(&mut self, now: Timestamp) {
         match self.step {
             Step::Down => {}
-            Step::AskedVersion { deadline }
-            | Step::AskedController { deadline }
-            | Step::AskedOutputs { deadline }
-            | Step::AskedInputs { deadline, .. }
-            | Step::AskedPause { deadline, .. }
-            | Step::AskedStart { deadline } => {
+            Step::RequestedVersion { deadline }
+            | Step::RequestedController { deadline }
+            | Step::RequestedOutputs { deadline }
+            | Step::RequestedInputs { deadline, .. }
+            | Step::RequestedPause { deadline, .. }
+            | Step::RequestedStart { deadline } => {
                 if now >= deadline {
                     self.silent(format!("no answer to {} within 2 s", self.waiting_for()));
                 }
@@ -204,8 +204,8 @@ impl RtdeSession {
             }
             Step::WaitingForInputs { index, retry_at, attempt } => {
                 if now >= retry_at {
-                    self.ask(&Request::Pause);
-                    self.step = Step::AskedPause { index, deadline: now + ANSWER_WITHIN, attempt };
+                    self.request(&Request::Pause);
+                    self.step = Step::RequestedPause { index, deadline: now + ANSWER_WITHIN, attempt };
                 }
             }
             Step::Streaming { last_package, .. } => {
@@ -220,12 +220,12 @@ impl RtdeSession {
     pub fn poll_timeout(&self) -> Option<(Timestamp, &'static str)> {
         match self.step {
             Step::Down => None,
-            Step::AskedVersion { deadline }
-            | Step::AskedController { deadline }
-            | Step::AskedOutputs { deadline }
-            | Step::AskedInputs { deadline, .. }
-            | Step::AskedPause { deadline, .. }
-            | Step::AskedStart { deadline } => Some((deadline, "RTDE handshake")),
+            Step::RequestedVersion { deadline }
+            | Step::RequestedController { deadline }
+            | Step::RequestedOutputs { deadline }
+            | Step::RequestedInputs { deadline, .. }
+            | Step::RequestedPause { deadline, .. }
+            | Step::RequestedStart { deadline } => Some((deadline, "RTDE handshake")),
             Step::LookingForOwner { since, .. } => Some((since + LOOK_FOR_OWNER, "RTDE owner of registers")),
             Step::WaitingForInputs { retry_at, .. } => Some((retry_at, "RTDE registers in use")),
             Step::Streaming { last_package, .. } => Some((last_package + SILENT_AFTER, "RTDE silence")),
@@ -265,7 +265,7 @@ impl RtdeSession {
         match recipe.encode(values) {
             Ok(payload) => {
                 let request = Request::Data { recipe: recipe.id, payload };
-                self.ask(&request);
+                self.request(&request);
             }
             Err(error) => self.fault(format!("own command does not fit: {error}")),
         }
@@ -282,7 +282,7 @@ impl RtdeSession {
         self.write(OWNER, &[Value::Int32(mark_of(self.process, turn))]);
     }
 
-    fn ask(&mut self, request: &Request) {
+    fn request(&mut self, request: &Request) {
         self.outbox.send(request.encode(self.version));
     }
 
@@ -303,12 +303,12 @@ impl RtdeSession {
 
     fn waiting_for(&self) -> &'static str {
         match self.step {
-            Step::AskedVersion { .. } => "the protocol version request",
-            Step::AskedController { .. } => "the controller version request",
-            Step::AskedOutputs { .. } => "the output set-up",
-            Step::AskedInputs { .. } | Step::WaitingForInputs { .. } => "the input set-up",
-            Step::AskedStart { .. } => "the start request",
-            Step::AskedPause { .. } => "the pause request",
+            Step::RequestedVersion { .. } => "the protocol version request",
+            Step::RequestedController { .. } => "the controller version request",
+            Step::RequestedOutputs { .. } => "the output set-up",
+            Step::RequestedInputs { .. } | Step::WaitingForInputs { .. } => "the input set-up",
+            Step::RequestedStart { .. } => "the start request",
+            Step::RequestedPause { .. } => "the pause request",
             Step::LookingForOwner { .. } => "the owner of the registers",
             Step::Down | Step::Streaming { .. } => "nothing",
         }
@@ -325,43 +325,43 @@ impl RtdeSession {
                 };
                 self.outbox.report(RtdeEvent::Message(text));
             }
-            (Reply::ProtocolVersion(true), Step::AskedVersion { .. }) => {
+            (Reply::ProtocolVersion(true), Step::RequestedVersion { .. }) => {
                 self.version = Version::V2;
-                self.ask(&Request::ControllerVersion);
-                self.step = Step::AskedController { deadline };
+                self.request(&Request::ControllerVersion);
+                self.step = Step::RequestedController { deadline };
             }
-            (Reply::ProtocolVersion(false), Step::AskedVersion { .. }) => {
+            (Reply::ProtocolVersion(false), Step::RequestedVersion { .. }) => {
                 self.fault("the controller refuses RTDE version 2".into());
             }
-            (Reply::ControllerVersion(version), Step::AskedController { .. }) => {
+            (Reply::ControllerVersion(version), Step::RequestedController { .. }) => {
                 if version.major < 5 {
                     return self.fault(format!("software version {} is older than 5", version.major));
                 }
                 let names = output_names();
-                self.ask(&Request::SetupOutputs { frequency_hz: Some(self.frequency_hz), names });
-                self.step = Step::AskedOutputs { deadline };
+                self.request(&Request::SetupOutputs { frequency_hz: Some(self.frequency_hz), names });
+                self.step = Step::RequestedOutputs { deadline };
             }
-            (Reply::SetupOutputs { recipe, offers }, Step::AskedOutputs { .. }) => {
+            (Reply::SetupOutputs { recipe, offers }, Step::RequestedOutputs { .. }) => {
                 self.outputs_offered(now, recipe, &offers);
             }
-            (Reply::SetupInputs { recipe, offers }, &Step::AskedInputs { index, attempt, .. }) => {
+            (Reply::SetupInputs { recipe, offers }, &Step::RequestedInputs { index, attempt, .. }) => {
                 self.inputs_offered(now, index, attempt, recipe, &offers);
             }
-            (Reply::Start(true), Step::AskedStart { .. }) => {
+            (Reply::Start(true), Step::RequestedStart { .. }) => {
                 self.step = Step::Streaming { last_package: now, packages: 0, settled: false };
             }
-            (Reply::Start(false), Step::AskedStart { .. }) => {
+            (Reply::Start(false), Step::RequestedStart { .. }) => {
                 self.fault("the controller refuses to start".into())
             }
             (Reply::Data { recipe, payload }, Step::Streaming { .. }) => self.data(now, recipe, &payload),
             (
                 reply,
-                Step::LookingForOwner { .. } | Step::WaitingForInputs { .. } | Step::AskedPause { .. },
+                Step::LookingForOwner { .. } | Step::WaitingForInputs { .. } | Step::RequestedPause { .. },
             ) => {
                 self.while_taken(now, reply);
             }
             // On its way when the stream was paused.
-            (Reply::Data { .. }, Step::AskedInputs { attempt: 2.., .. }) => {}
+            (Reply::Data { .. }, Step::RequestedInputs { attempt: 2.., .. }) => {}
             (unexpected, _) => {
                 let kind = reply_name(&unexpected);
                 self.fault(format!("unexpected {kind} while waiting for {}", self.waiting_for()));
@@ -377,23 +377,23 @@ impl RtdeSession {
                     return self.fault(format!("output {name} has type {}", kind.token()));
                 }
                 self.outputs = recipe;
-                self.ask_inputs(now, HEARTBEAT, 1);
+                self.request_inputs(now, HEARTBEAT, 1);
             }
             Err(refusal) => self.fault(refusal.text("output")),
         }
     }
 
-    fn ask_inputs(&mut self, now: Timestamp, index: usize, attempt: u32) {
-        self.ask(&Request::SetupInputs { names: input_names(index) });
-        self.step = Step::AskedInputs { index, deadline: now + ANSWER_WITHIN, attempt };
+    fn request_inputs(&mut self, now: Timestamp, index: usize, attempt: u32) {
+        self.request(&Request::SetupInputs { names: input_names(index) });
+        self.step = Step::RequestedInputs { index, deadline: now + ANSWER_WITHIN, attempt };
     }
 
     /// The stream runs without inputs, to read who holds them.
     fn while_taken(&mut self, now: Timestamp, reply: Reply) {
         match (reply, &self.step) {
             (Reply::Data { payload, .. }, Step::LookingForOwner { .. }) => self.note_mark(&payload),
-            (Reply::Pause(_), &Step::AskedPause { index, attempt, .. }) => {
-                self.ask_inputs(now, index, attempt);
+            (Reply::Pause(_), &Step::RequestedPause { index, attempt, .. }) => {
+                self.request_inputs(now, index, attempt);
             }
             // A controller that does not start shows no owner; that is no fault.
             (Reply::Start(_) | Reply::Data { .. }, _) => {}
@@ -426,14 +426,14 @@ impl RtdeSession {
             Ok(recipe) => {
                 self.inputs.push(recipe);
                 if index == OWNER {
-                    self.ask(&Request::Start);
-                    self.step = Step::AskedStart { deadline: now + ANSWER_WITHIN };
+                    self.request(&Request::Start);
+                    self.step = Step::RequestedStart { deadline: now + ANSWER_WITHIN };
                 } else {
-                    self.ask_inputs(now, index + 1, 1);
+                    self.request_inputs(now, index + 1, 1);
                 }
             }
             Err(Refusal::InUse(names)) if attempt < IN_USE_TRIES => {
-                self.ask(&Request::Start);
+                self.request(&Request::Start);
                 self.step = Step::LookingForOwner { index, names, since: now, attempt, mark: None };
             }
             Err(refusal) => self.fault(refusal.text("input")),

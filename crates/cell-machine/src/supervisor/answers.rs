@@ -14,10 +14,10 @@ const PARKED_RAD: f64 = 0.002;
 
 impl Supervisor {
     /// What has become of an order that was taken; `None` where the answer comes later.
-    pub(crate) fn answer(&self, outside: &DeviceSnapshot, order: &Order) -> Option<Reply> {
+    pub(crate) fn answer(&self, devices: &DeviceSnapshot, order: &Order) -> Option<Reply> {
         Some(match order {
             Order::Arm => Reply::accept(self.armed_and_now()),
-            Order::Disarm => Reply::accept(self.disarmed_and_now(outside)),
+            Order::Disarm => Reply::accept(self.disarmed_and_now(devices)),
             Order::Approve { .. } if !self.mode.armed() => {
                 Reply::accept("approved; nothing moves before `celld arm`")
             }
@@ -36,12 +36,12 @@ impl Supervisor {
                 Some(_) => "one pick-n-place, then a pause",
                 None => "no job is under way; the next one pauses after one pick-n-place",
             }),
-            Order::Park => self.then_the_job(self.answer_park(outside)),
+            Order::Park => self.then_the_job(self.answer_park(devices)),
             Order::Recover(WayBack::Show | WayBack::Release)
             | Order::Abort
             | Order::Release(_)
             | Order::ConfirmGripper => return None,
-            Order::Recover(way) => return Some(self.recovering(outside, *way)),
+            Order::Recover(way) => return Some(self.recovering(devices, *way)),
             Order::Calibrate => Reply::accept(self.calibrating()),
         })
     }
@@ -55,7 +55,7 @@ impl Supervisor {
             Phase::Park => "armed: the arm goes on to its park pose",
             Phase::Work(_) => "armed: the pick-n-place under way goes on",
             Phase::Approve => "armed; the plan waits for `celld approve`",
-            Phase::BringUp(BringUp { asked: Some(_), .. }) => {
+            Phase::BringUp(BringUp { requested: Some(_), .. }) => {
                 "armed: celld switches the arm's power on and releases its brakes now"
             }
             Phase::BringUp(_) => "armed: celld starts its program on the robot now, then the arm moves",
@@ -71,8 +71,8 @@ impl Supervisor {
     }
 
     /// That the cell is disarmed, and what the arm still does.
-    fn disarmed_and_now(&self, outside: &DeviceSnapshot) -> &'static str {
-        if !outside.robot_fresh {
+    fn disarmed_and_now(&self, devices: &DeviceSnapshot) -> &'static str {
+        if !devices.robot_fresh {
             return "disarmed; the robot does not answer, so nothing is known of the arm: keep away from it";
         }
         match &self.phase {
@@ -107,8 +107,8 @@ impl Supervisor {
     }
 
     /// The arm is at rest at its park pose.
-    pub(crate) fn is_parked(&self, outside: &DeviceSnapshot) -> bool {
-        let fresh = outside.robot.filter(|_| outside.robot_fresh);
+    pub(crate) fn is_parked(&self, devices: &DeviceSnapshot) -> bool {
+        let fresh = devices.robot.filter(|_| devices.robot_fresh);
         fresh.is_some_and(|robot| {
             robot.q.max_difference(&self.model.park) < PARKED_RAD && robot.stands_still()
         })
@@ -125,8 +125,8 @@ impl Supervisor {
         Reply { message: format!("{}{after}", reply.message), ..reply }
     }
 
-    fn answer_park(&self, outside: &DeviceSnapshot) -> Reply {
-        if self.moving() && motion_speed(outside) == 0.0 {
+    fn answer_park(&self, devices: &DeviceSnapshot) -> Reply {
+        if self.moving() && motion_speed(devices) == 0.0 {
             return Reply::accept("parks as soon as the present motion is over, which is held now");
         }
         match (&self.phase, &self.waiting_for) {

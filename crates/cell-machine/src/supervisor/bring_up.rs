@@ -26,22 +26,22 @@ impl Supervisor {
     pub(crate) fn wait_or_bring_up(
         &mut self,
         now: Timestamp,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         closed: GateClosed,
         out: &mut Vec<Action>,
     ) {
         let can_start = self.mode.armed()
-            && outside.robot_fresh
-            && outside.robot.is_some_and(|robot| robot.remote_control == Some(true));
+            && devices.robot_fresh
+            && devices.robot.is_some_and(|robot| robot.remote_control == Some(true));
         if can_start && opens_by_bring_up(&closed) {
-            return self.begin_bring_up(outside, out);
+            return self.begin_bring_up(devices, out);
         }
         self.wait(now, closed, out);
     }
 
-    pub(crate) fn begin_bring_up(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
+    pub(crate) fn begin_bring_up(&mut self, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
         self.enter(Phase::BringUp(BringUp::default()), BRING_UP_LIMIT);
-        self.bring_up(outside, out);
+        self.bring_up(devices, out);
     }
 
     /// Where the cell is once the robot is up, or is not wanted any more: a plan that waited for a person
@@ -121,23 +121,23 @@ impl Supervisor {
     }
 
     /// One turn of the bring-up: requests what is missing, once.
-    pub(crate) fn bring_up(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
-        let (Phase::BringUp(bring_up), Some(robot)) = (&mut self.phase, outside.robot) else { return };
+    pub(crate) fn bring_up(&mut self, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
+        let (Phase::BringUp(bring_up), Some(robot)) = (&mut self.phase, devices.robot) else { return };
         if !self.mode.armed() {
             self.phase = self.after_bring_up();
             return;
         }
         match robot.robot_mode {
-            RobotMode::PowerOff if bring_up.asked != Some(RobotMode::PowerOff) => {
-                bring_up.asked = Some(RobotMode::PowerOff);
+            RobotMode::PowerOff if bring_up.requested != Some(RobotMode::PowerOff) => {
+                bring_up.requested = Some(RobotMode::PowerOff);
                 out.push(Action::Robot(RobotCommand::PowerOn));
             }
-            RobotMode::Idle if bring_up.asked != Some(RobotMode::Idle) => {
-                bring_up.asked = Some(RobotMode::Idle);
+            RobotMode::Idle if bring_up.requested != Some(RobotMode::Idle) => {
+                bring_up.requested = Some(RobotMode::Idle);
                 out.push(Action::Robot(RobotCommand::ReleaseBrakes));
             }
             RobotMode::Running
-                if bring_up.program_asked
+                if bring_up.program_requested
                     && self.nonce.is_some_and(|nonce| robot.nonce == nonce.number()) =>
             {
                 self.phase = self.after_bring_up();
@@ -145,8 +145,8 @@ impl Supervisor {
                 out.push(Action::Robot(RobotCommand::SetTcp(tcp)));
                 self.set_payload(self.held_mass(), out);
             }
-            RobotMode::Running if !bring_up.program_asked && outside.program_settled => {
-                bring_up.program_asked = true;
+            RobotMode::Running if !bring_up.program_requested && devices.program_settled => {
+                bring_up.program_requested = true;
                 let nonce = Nonce::new(self.next_nonce);
                 self.next_nonce = self.next_nonce.wrapping_add(1);
                 self.nonce = Some(nonce);

@@ -190,7 +190,7 @@ impl Supervisor {
     }
 
     /// Takes one input and says what to do.
-    pub fn step(&mut self, now: Timestamp, outside: &DeviceSnapshot, input: Input) -> Vec<Action> {
+    pub fn step(&mut self, now: Timestamp, devices: &DeviceSnapshot, input: Input) -> Vec<Action> {
         let order = match &input {
             Input::Order { number, .. } => Some(*number),
             Input::Tick
@@ -207,34 +207,34 @@ impl Supervisor {
             | Input::Round(_)
             | Input::Shutdown => None,
         };
-        let mut actions = self.decide(now, outside, input);
+        let mut actions = self.decide(now, devices, input);
         if actions.iter().any(|action| matches!(action, Action::Robot(RobotCommand::Stream(_)))) {
             self.times.begins_path();
         }
-        self.watch_standing(now, outside, order, &mut actions);
-        self.hold_while_paused(outside, actions)
+        self.watch_standing(now, devices, order, &mut actions);
+        self.hold_while_paused(devices, actions)
     }
 
-    fn decide(&mut self, now: Timestamp, outside: &DeviceSnapshot, input: Input) -> Vec<Action> {
+    fn decide(&mut self, now: Timestamp, devices: &DeviceSnapshot, input: Input) -> Vec<Action> {
         let mut out = Vec::new();
-        self.run_deadline(now, outside);
+        self.run_deadline(now, devices);
         match input {
-            Input::Tick => self.watch(now, outside, &mut out),
-            Input::Robot(event) => self.on_robot(now, outside, event, &mut out),
-            Input::Gripper(event) => self.on_gripper(now, outside, event, &mut out),
-            Input::Exposed => self.on_exposed(now, outside, &mut out),
-            Input::Captured(result) => self.on_captured(now, outside, result, &mut out),
+            Input::Tick => self.watch(now, devices, &mut out),
+            Input::Robot(event) => self.on_robot(now, devices, event, &mut out),
+            Input::Gripper(event) => self.on_gripper(now, devices, event, &mut out),
+            Input::Exposed => self.on_exposed(now, devices, &mut out),
+            Input::Captured(result) => self.on_captured(now, devices, result, &mut out),
             Input::Observed(result) => self.on_observed(now, result, &mut out),
             Input::Pictured(result) => self.on_pictured(result, &mut out),
             Input::Planned(answer) => self.on_planned(now, *answer, &mut out),
-            Input::Committed { number, result } => self.on_committed(now, outside, number, result, &mut out),
+            Input::Committed { number, result } => self.on_committed(now, devices, number, result, &mut out),
             Input::StoreLost(fault) => self.on_store_lost(now, fault, &mut out),
             Input::Job(order) => self.on_job(now, *order, &mut out),
-            Input::Round(order) => self.on_round(now, outside, *order, &mut out),
-            Input::Order { number, order } => return self.on_order(now, outside, number, order),
+            Input::Round(order) => self.on_round(now, devices, *order, &mut out),
+            Input::Order { number, order } => return self.on_order(now, devices, number, order),
             Input::Shutdown => self.on_shutdown(now, &mut out),
         }
-        self.pursue(now, outside, &mut out);
+        self.pursue(now, devices, &mut out);
         out
     }
 
@@ -243,23 +243,23 @@ impl Supervisor {
     fn on_order(
         &mut self,
         now: Timestamp,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         number: u64,
         order: Order,
     ) -> Vec<Action> {
         let mut out = Vec::new();
-        let refusal = self.take_order(now, outside, number, &order, &mut out);
-        self.pursue(now, outside, &mut out);
+        let refusal = self.take_order(now, devices, number, &order, &mut out);
+        self.pursue(now, devices, &mut out);
         let later = self.until_it_stands.iter().any(|waits| waits.number == number);
-        let reply = refusal.or_else(|| self.answer(outside, &order).filter(|_| !later));
+        let reply = refusal.or_else(|| self.answer(devices, &order).filter(|_| !later));
         out.extend(reply.map(|reply| Action::Reply { number, reply }));
         out
     }
 
-    fn run_deadline(&mut self, now: Timestamp, outside: &DeviceSnapshot) {
-        let speed = if self.follows_a_path() { motion_speed(outside) } else { 1.0 };
+    fn run_deadline(&mut self, now: Timestamp, devices: &DeviceSnapshot) {
+        let speed = if self.follows_a_path() { motion_speed(devices) } else { 1.0 };
         let passed = now.since(self.last_now);
-        self.book_time(outside, passed);
+        self.book_time(devices, passed);
         self.remaining = self.remaining.saturating_sub(passed.mul_f64(speed));
         self.last_now = now;
     }
@@ -316,7 +316,7 @@ impl Supervisor {
     }
 
     /// Decides what comes next when nothing is under way.
-    fn pursue(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
+    fn pursue(&mut self, now: Timestamp, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
         if !matches!(self.phase, Phase::Ready) || self.mode.ending() {
             return;
         }
@@ -329,7 +329,7 @@ impl Supervisor {
             );
         }
         if self.back.recovery.is_some() {
-            return self.pursue_recovery(now, outside, out);
+            return self.pursue_recovery(now, devices, out);
         }
         if self.job.is_none() && self.round.is_none() && !self.mode.parks() {
             self.waiting_for = None;
@@ -342,15 +342,15 @@ impl Supervisor {
             self.waiting_for = None;
             return self.withdraw_meant(now, out);
         }
-        let open = gates::any_motion(self.mode.armed(), outside, self.nonce);
+        let open = gates::any_motion(self.mode.armed(), devices, self.nonce);
         // A round only looks: it picks nothing, and the gripper need not be there.
-        let open = if self.round.is_some() { open } else { open.and_then(|()| gates::empty_handed(outside)) };
+        let open = if self.round.is_some() { open } else { open.and_then(|()| gates::empty_handed(devices)) };
         if let Err(closed) = open {
             self.withdraw_meant(now, out);
-            return self.wait_or_bring_up(now, outside, closed, out);
+            return self.wait_or_bring_up(now, devices, closed, out);
         }
         if self.round.is_some() {
-            return self.begin_visit(outside, out);
+            return self.begin_visit(devices, out);
         }
         if self.seen.is_some() && now.since(self.seen_at) > self.model.tolerances.observation_age {
             say(out, "the table was seen too long ago; looking again");
@@ -358,18 +358,18 @@ impl Supervisor {
         }
         if self.mode.parks() {
             self.withdraw_meant(now, out);
-            self.begin_park(outside, out);
+            self.begin_park(devices, out);
         } else if !self.is_seen() {
-            self.begin_look(now, outside, out);
+            self.begin_look(now, devices, out);
         } else {
-            self.compare_and_continue(now, outside, out);
+            self.compare_and_continue(now, devices, out);
         }
     }
 
     fn on_robot(
         &mut self,
         now: Timestamp,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         event: RobotEvent,
         out: &mut Vec<Action>,
     ) {
@@ -386,7 +386,7 @@ impl Supervisor {
                 Phase::Work(_) => self.work_path_finished(now, out),
                 Phase::Recover(stage) => {
                     let stage = *stage;
-                    self.recovery_path_finished(outside, stage, out);
+                    self.recovery_path_finished(devices, stage, out);
                 }
                 Phase::Park => {
                     self.phase = Phase::Ready;
@@ -394,14 +394,14 @@ impl Supervisor {
                 }
                 Phase::Ready | Phase::BringUp(_) | Phase::Plan | Phase::Approve => {}
             },
-            other => self.on_robot_trouble(now, outside, other, out),
+            other => self.robot_fault_reason(now, devices, other, out),
         }
     }
 
     fn on_gripper(
         &mut self,
         now: Timestamp,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         event: GripperEvent,
         out: &mut Vec<Action>,
     ) {
@@ -409,11 +409,11 @@ impl Supervisor {
         if let Phase::Recover(stage) = self.phase {
             self.recovery_gripper(now, stage, &event, out);
         }
-        self.note_vacuum(outside, &event, out);
+        self.note_vacuum(devices, &event, out);
         self.lost_on_the_way(now, &event, out);
         let silent = match event {
             GripperEvent::Unreachable { .. } => true,
-            GripperEvent::GripFailed { .. } | GripperEvent::ReleaseFailed { .. } => !outside.gripper_answers,
+            GripperEvent::GripFailed { .. } | GripperEvent::ReleaseFailed { .. } => !devices.gripper_answers,
             GripperEvent::Gripped { .. }
             | GripperEvent::Released
             | GripperEvent::VacuumWeak { .. }
@@ -426,7 +426,7 @@ impl Supervisor {
             return self.on_gripper_silent(now, out);
         }
         if matches!(self.phase, Phase::Work(_)) {
-            self.work_gripper(now, outside, event, out);
+            self.work_gripper(now, devices, event, out);
         }
     }
 

@@ -12,8 +12,8 @@ use ur_wire::enumerations::{RobotMode, SafetyMode};
 
 impl Supervisor {
     /// Robot, gripper, camera.
-    pub fn device_notes(&self, outside: &DeviceSnapshot) -> Vec<DeviceNote> {
-        vec![robot(outside), gripper(outside), self.camera_note()]
+    pub fn device_notes(&self, devices: &DeviceSnapshot) -> Vec<DeviceNote> {
+        vec![robot(devices), gripper(devices), self.camera_note()]
     }
 
     fn camera_note(&self) -> DeviceNote {
@@ -26,8 +26,8 @@ impl Supervisor {
     }
 }
 
-fn robot(outside: &DeviceSnapshot) -> DeviceNote {
-    let (ready, message) = match (outside.link_down, outside.robot.filter(|_| outside.robot_fresh)) {
+fn robot(devices: &DeviceSnapshot) -> DeviceNote {
+    let (ready, message) = match (devices.link_down, devices.robot.filter(|_| devices.robot_fresh)) {
         (Some(link), _) => (false, GateClosed::Link(link).to_string()),
         (None, None) => (false, GateClosed::Stale.to_string()),
         (None, Some(robot)) => {
@@ -46,8 +46,8 @@ fn robot(outside: &DeviceSnapshot) -> DeviceNote {
     DeviceNote { device: Device::Robot, ready, message }
 }
 
-fn gripper(outside: &DeviceSnapshot) -> DeviceNote {
-    let (ready, message) = match (outside.gripper_answers, outside.gripper_holds) {
+fn gripper(devices: &DeviceSnapshot) -> DeviceNote {
+    let (ready, message) = match (devices.gripper_answers, devices.gripper_holds) {
         (false, _) => (false, GateClosed::Gripper.to_string()),
         (true, true) => (true, "answers, and holds something".to_string()),
         (true, false) => (true, "answers".to_string()),

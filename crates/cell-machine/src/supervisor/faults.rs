@@ -32,39 +32,39 @@ const RELEASE_WITHIN: Duration = Duration::from_secs(6);
 impl Supervisor {
     /// Runs on every tick: settling, bring-up, deadlines, the disk, and the robot's state while something
     /// moves.
-    pub(crate) fn watch(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
+    pub(crate) fn watch(&mut self, now: Timestamp, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
         self.watch_disk(now, out);
-        self.watch_end(now, outside, out);
-        self.watch_settling(now, outside, out);
-        self.watch_visit(now, outside, out);
-        self.watch_unlocking(now, outside, out);
-        self.arm_when_open(outside, out);
-        self.bring_up(outside, out);
-        if let Some(reason) = self.motion_trouble(now, outside).filter(|_| self.moving()) {
+        self.watch_end(now, devices, out);
+        self.watch_settling(now, devices, out);
+        self.watch_visit(now, devices, out);
+        self.watch_unlocking(now, devices, out);
+        self.arm_when_open(devices, out);
+        self.bring_up(devices, out);
+        if let Some(reason) = self.motion_reason(now, devices).filter(|_| self.moving()) {
             return self.stop_what_has_begun(now, JobStatus::Interrupted, reason, out);
         }
-        let held = self.held_for(now, outside);
+        let held = self.held_for(now, devices);
         if held > Duration::ZERO && !self.mode.armed() {
             let message = "the arm was held after the cell was disarmed: it does not go on by itself later";
             let reason = Code::Aborted.because(message, "");
             return self.stop_what_has_begun(now, JobStatus::Interrupted, reason, out);
         }
         if held > LONGEST_PAUSE {
-            let reason = self.held_too_long(outside);
+            let reason = self.held_too_long(devices);
             return self.stop_what_has_begun(now, JobStatus::Interrupted, reason, out);
         }
-        self.watch_arming(now, outside, out);
+        self.watch_arming(now, devices, out);
         if self.remaining.is_zero() {
             self.on_deadline(now, out);
         }
     }
 
-    fn arm_when_open(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
-        let open = self.arms_when_open && self.under_way(outside).is_none() && self.may_arm(outside).is_ok();
+    fn arm_when_open(&mut self, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
+        let open = self.arms_when_open && self.under_way(devices).is_none() && self.may_arm(devices).is_ok();
         if open && matches!(self.mode, Mode::Disarmed { .. }) {
             say(out, "armed at start, as configured for the simulation");
             self.mode.arm();
-            self.armed_now(outside, out);
+            self.armed_now(devices, out);
         }
     }
 
@@ -82,22 +82,22 @@ impl Supervisor {
 
     /// The daemon may end when the arm is at rest, the gripper has confirmed what was ordered and everything
     /// is written; and when that was waited for long enough.
-    fn watch_end(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
+    fn watch_end(&mut self, now: Timestamp, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
         let Mode::Ending { since, fault } = &self.mode else { return };
-        let stands = self.stands || outside.robot.is_none() || now.since(*since) >= STOP_WITHIN;
+        let stands = self.stands || devices.robot.is_none() || now.since(*since) >= STOP_WITHIN;
         let written = self.ledger.is_clear() || fault.is_some();
         let released = self.release_orders.is_empty() || now.since(*since) >= RELEASE_WITHIN;
         if stands && written && released && !self.ended {
             let end = fault.clone().map_or(Ok(()), Err);
             self.ended = true;
-            self.answer_at_the_end(outside, out);
+            self.answer_at_the_end(devices, out);
             out.push(Action::End(end));
         }
     }
 
     /// How long the arm has been held in the middle of a motion, by pause or by a slider at zero.
-    fn held_for(&mut self, now: Timestamp, outside: &DeviceSnapshot) -> Duration {
-        let held = self.moving() && motion_speed(outside) == 0.0;
+    fn held_for(&mut self, now: Timestamp, devices: &DeviceSnapshot) -> Duration {
+        let held = self.moving() && motion_speed(devices) == 0.0;
         self.held_since = if held { self.held_since.or(Some(now)) } else { None };
         self.held_since.map_or(Duration::ZERO, |since| now.since(since))
     }
@@ -144,15 +144,15 @@ impl Supervisor {
     }
 
     /// Everything the robot reports besides a finished path.
-    pub(crate) fn on_robot_trouble(
+    pub(crate) fn robot_fault_reason(
         &mut self,
         now: Timestamp,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         event: RobotEvent,
         out: &mut Vec<Action>,
     ) {
         match event {
-            RobotEvent::ProgramRunning { .. } => return self.bring_up(outside, out),
+            RobotEvent::ProgramRunning { .. } => return self.bring_up(devices, out),
             RobotEvent::Paused if self.moving() => {
                 let seconds = LONGEST_PAUSE.as_secs();
                 return alarm(
@@ -190,7 +190,7 @@ impl Supervisor {
             | RobotEvent::ProtocolFault { .. } => {}
         }
         self.note_for_the_way_back(now, &event);
-        let Some(reason) = self.fault_of(outside, event) else { return };
+        let Some(reason) = self.fault_of(devices, event) else { return };
         let moves = self.moving() || matches!(self.phase, Phase::BringUp(_));
         if reason.code == Code::HeartbeatLost && self.job_outlives_a_stop() && self.mode.armed() {
             self.stop_and_keep_the_job(now, reason, out);
@@ -265,14 +265,14 @@ impl Supervisor {
     pub(crate) fn on_committed(
         &mut self,
         now: Timestamp,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         number: u64,
         result: Result<(), String>,
         out: &mut Vec<Action>,
     ) {
         self.ledger.close(number);
         match result {
-            Ok(()) => self.work_noted(now, outside, number, out),
+            Ok(()) => self.work_noted(now, devices, number, out),
             Err(cause) => self.on_store_lost(now, EndFault::Journal(cause), out),
         }
     }

@@ -119,21 +119,21 @@ pub enum GateClosed {
 ///
 /// # Errors
 /// The first condition that does not hold.
-pub fn arming(outside: &DeviceSnapshot) -> Result<(), GateClosed> {
-    arming_for_round(outside)?;
-    empty_handed(outside)
+pub fn arming(devices: &DeviceSnapshot) -> Result<(), GateClosed> {
+    arming_for_round(devices)?;
+    empty_handed(devices)
 }
 
 /// What arming for a calibration round needs: it picks nothing, and the gripper need not be there.
 ///
 /// # Errors
 /// The first condition that does not hold.
-pub fn arming_for_round(outside: &DeviceSnapshot) -> Result<(), GateClosed> {
-    if let Some(link) = outside.link_down {
+pub fn arming_for_round(devices: &DeviceSnapshot) -> Result<(), GateClosed> {
+    if let Some(link) = devices.link_down {
         return Err(GateClosed::Link(link));
     }
-    let robot = match outside.robot {
-        Some(robot) if outside.robot_fresh => robot,
+    let robot = match devices.robot {
+        Some(robot) if devices.robot_fresh => robot,
         _ => return Err(GateClosed::Stale),
     };
     if !robot.safety_mode.allows_motion() {
@@ -163,9 +163,9 @@ pub fn arming_for_round(outside: &DeviceSnapshot) -> Result<(), GateClosed> {
 ///
 /// # Errors
 /// The first condition that does not hold.
-pub fn recovering(outside: &DeviceSnapshot) -> Result<(), GateClosed> {
-    let stopped = outside.robot.is_some_and(|robot| robot.safety_mode == SafetyMode::ProtectiveStop);
-    match arming_for_round(outside) {
+pub fn recovering(devices: &DeviceSnapshot) -> Result<(), GateClosed> {
+    let stopped = devices.robot.is_some_and(|robot| robot.safety_mode == SafetyMode::ProtectiveStop);
+    match arming_for_round(devices) {
         Err(GateClosed::Safety(_)) if stopped => Ok(()),
         judged => judged,
     }
@@ -175,13 +175,13 @@ pub fn recovering(outside: &DeviceSnapshot) -> Result<(), GateClosed> {
 ///
 /// # Errors
 /// The first condition that does not hold.
-pub fn any_motion(armed: bool, outside: &DeviceSnapshot, nonce: Option<Nonce>) -> Result<(), GateClosed> {
+pub fn any_motion(armed: bool, devices: &DeviceSnapshot, nonce: Option<Nonce>) -> Result<(), GateClosed> {
     // First, because a cell that was not armed is no cell in trouble.
     if !armed {
         return Err(GateClosed::Disarmed);
     }
-    let robot = match outside.robot {
-        Some(robot) if outside.robot_fresh => robot,
+    let robot = match devices.robot {
+        Some(robot) if devices.robot_fresh => robot,
         _ => return Err(GateClosed::Stale),
     };
     if !robot.safety_mode.allows_motion() {
@@ -215,8 +215,8 @@ pub fn any_motion(armed: bool, outside: &DeviceSnapshot, nonce: Option<Nonce>) -
 ///
 /// # Errors
 /// [`GateClosed::Gripper`] or [`GateClosed::Holding`].
-pub fn empty_handed(outside: &DeviceSnapshot) -> Result<(), GateClosed> {
-    let Some(vacuum) = outside.vacuum.filter(|_| outside.gripper_answers) else {
+pub fn empty_handed(devices: &DeviceSnapshot) -> Result<(), GateClosed> {
+    let Some(vacuum) = devices.vacuum.filter(|_| devices.gripper_answers) else {
         return Err(GateClosed::Gripper);
     };
     // A reading that is no number is no proof either; the larger of it and another would be the other.
@@ -232,13 +232,13 @@ pub fn empty_handed(outside: &DeviceSnapshot) -> Result<(), GateClosed> {
 /// The first condition that does not hold.
 pub fn manipulate(
     armed: bool,
-    outside: &DeviceSnapshot,
+    devices: &DeviceSnapshot,
     nonce: Option<Nonce>,
     observed: bool,
     approved: bool,
 ) -> Result<(), GateClosed> {
-    any_motion(armed, outside, nonce)?;
-    empty_handed(outside)?;
+    any_motion(armed, devices, nonce)?;
+    empty_handed(devices)?;
     if !observed {
         Err(GateClosed::NotObserved)
     } else if !approved {
@@ -250,8 +250,8 @@ pub fn manipulate(
 
 /// Share of its speed at which the arm follows its path now: the slider's, nothing while the program does
 /// not play.
-pub(crate) fn motion_speed(outside: &DeviceSnapshot) -> f64 {
-    outside.robot.map_or(0.0, |robot| {
+pub(crate) fn motion_speed(devices: &DeviceSnapshot) -> f64 {
+    devices.robot.map_or(0.0, |robot| {
         let playing = robot.runtime_state == RuntimeState::Playing;
         if playing { robot.target_speed_fraction.clamp(0.0, 1.0) } else { 0.0 }
     })

@@ -58,7 +58,7 @@ impl Supervisor {
     /// Follows what is held by what the gripper reports.
     pub(crate) fn note_vacuum(
         &mut self,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         event: &GripperEvent,
         out: &mut Vec<Action>,
     ) {
@@ -74,7 +74,7 @@ impl Supervisor {
                     self.note_let_go(out);
                 }
                 // One channel may have been let go, and the other hold on.
-                (_, held) if gates::empty_handed(outside).is_ok() => {
+                (_, held) if gates::empty_handed(devices).is_ok() => {
                     let gone = held.take().is_some() && !works;
                     self.back.fell = None;
                     if gone {
@@ -87,7 +87,7 @@ impl Supervisor {
             GripperEvent::VacuumLost { .. } => {
                 let what =
                     self.back.held.as_ref().map_or("what the gripper held", |held| held.object.as_str());
-                let place = outside.robot.map_or_else(String::new, |robot| {
+                let place = devices.robot.map_or_else(String::new, |robot| {
                     let at = self.model.arm.tool_at(&robot.q).translation.vector;
                     let height = (at.z - self.held_height()) * 1e3;
                     format!(" near x {:.3} m, y {:.3} m, from {height:.0} mm over the table", at.x, at.y)
@@ -109,8 +109,8 @@ impl Supervisor {
 
     /// At the first reading after a start: what an earlier celld had gripped hangs there if there is vacuum.
     /// How it hangs was written down before it was picked.
-    pub(crate) fn name_what_hangs(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
-        if outside.vacuum.is_none() || !outside.gripper_answers {
+    pub(crate) fn name_what_hangs(&mut self, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
+        if devices.vacuum.is_none() || !devices.gripper_answers {
             return;
         }
         let Some(before) = self.model.held_before.take() else { return };
@@ -204,8 +204,8 @@ impl Supervisor {
 
     /// Arming needs that nothing may hang on the gripper, besides what was just put down and is looked at
     /// first.
-    pub(crate) fn may_arm(&self, outside: &DeviceSnapshot) -> Result<(), GateClosed> {
-        gates::arming(outside)?;
+    pub(crate) fn may_arm(&self, devices: &DeviceSnapshot) -> Result<(), GateClosed> {
+        gates::arming(devices)?;
         if !self.model.gripper_confirmed {
             return Err(GateClosed::GripperUnconfirmed);
         }

@@ -22,18 +22,18 @@ pub(crate) const MOVED_RAD: f64 = 0.02;
 
 impl Supervisor {
     /// Disarms the cell when arming does not hold any more.
-    pub(crate) fn watch_arming(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
-        let quiet_for = self.follow_quiet(now, outside);
+    pub(crate) fn watch_arming(&mut self, now: Timestamp, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
+        let quiet_for = self.follow_quiet(now, devices);
         if !self.mode.armed() {
             return;
         }
-        if let Some(why) = self.why_lapsed(outside).or_else(|| self.too_quiet(quiet_for)) {
-            self.lapse(now, outside, &why, out);
+        if let Some(why) = self.why_lapsed(devices).or_else(|| self.too_quiet(quiet_for)) {
+            self.lapse(now, devices, &why, out);
         }
     }
 
     /// How long an armed cell has not moved the arm; notes where it rests.
-    fn follow_quiet(&mut self, now: Timestamp, outside: &DeviceSnapshot) -> Duration {
+    fn follow_quiet(&mut self, now: Timestamp, devices: &DeviceSnapshot) -> Duration {
         let rests = match self.phase {
             Phase::Ready | Phase::Approve => true,
             // A long plan is no idleness.
@@ -50,7 +50,7 @@ impl Supervisor {
             return Duration::ZERO;
         }
         let quiet = self.quiet.get_or_insert(Quiet { since: now, at: None });
-        let still = outside.robot.filter(|robot| outside.robot_fresh && robot.stands_still());
+        let still = devices.robot.filter(|robot| devices.robot_fresh && robot.stands_still());
         quiet.at = quiet.at.or(still.map(|robot| robot.q));
         now.since(quiet.since)
     }
@@ -62,14 +62,14 @@ impl Supervisor {
     }
 
     /// The first reason, other than time, for which arming does not hold any more.
-    fn why_lapsed(&self, outside: &DeviceSnapshot) -> Option<String> {
-        if let Some(link) = outside.link_lost {
+    fn why_lapsed(&self, devices: &DeviceSnapshot) -> Option<String> {
+        if let Some(link) = devices.link_lost {
             return Some(format!("the {link} link was lost ({})", self.model.addresses.robot));
         }
-        if !outside.gripper_answers && self.round.is_none() {
+        if !devices.gripper_answers && self.round.is_none() {
             return Some(format!("the gripper stopped answering ({})", self.model.addresses.gripper));
         }
-        let robot = outside.robot.filter(|_| outside.robot_fresh)?;
+        let robot = devices.robot.filter(|_| devices.robot_fresh)?;
         if robot.guided || robot.robot_mode == RobotMode::Backdrive {
             return Some("the arm is guided by hand".to_string());
         }
@@ -84,13 +84,13 @@ impl Supervisor {
 
     /// Disarms as an order to disarm does. What is held in the middle of a motion must not go on by itself
     /// later, and a calibration round ends.
-    fn lapse(&mut self, now: Timestamp, outside: &DeviceSnapshot, why: &str, out: &mut Vec<Action>) {
-        let held = self.moving() && motion_speed(outside) == 0.0;
+    fn lapse(&mut self, now: Timestamp, devices: &DeviceSnapshot, why: &str, out: &mut Vec<Action>) {
+        let held = self.moving() && motion_speed(devices) == 0.0;
         if held || self.round.is_some() || self.back.recovery.is_some() {
             let reason = Code::ArmingLapsed.because(why, "");
             return self.stop_what_has_begun(now, JobStatus::Interrupted, reason, out);
         }
-        let goes_on = self.disarm_after_this_motion(now, outside, out);
+        let goes_on = self.disarm_after_this_motion(now, devices, out);
         let first = match (goes_on, &self.phase) {
             (true, Phase::Work(work)) if work.then.is_none() => {
                 "; the pick-n-place under way is finished first, `celld abort` stops it now"
@@ -98,7 +98,7 @@ impl Supervisor {
             (true, _) => "; the motion under way goes on to its next stop, `celld abort` stops it now",
             (false, _) => "",
         };
-        let back = match outside.link_lost.is_some() || !outside.gripper_answers {
+        let back = match devices.link_lost.is_some() || !devices.gripper_answers {
             true => "see to its power and its network; once it answers and the cell is clear, `celld arm`",
             false => "see that the cell is clear, then `celld arm`",
         };

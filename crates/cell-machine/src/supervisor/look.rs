@@ -46,39 +46,39 @@ impl Look {
 
 impl Supervisor {
     /// Begins the look that what comes next needs.
-    pub(crate) fn begin_look(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
-        let Some(robot) = outside.robot else { return };
+    pub(crate) fn begin_look(&mut self, now: Timestamp, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
+        let Some(robot) = devices.robot else { return };
         let plan = self.next_look(&robot.q);
-        self.begin(now, outside, Look::begun(plan), out);
+        self.begin(now, devices, Look::begun(plan), out);
     }
 
     /// The same of the whole table, whatever comes next.
     pub(crate) fn begin_whole_look(
         &mut self,
         now: Timestamp,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         out: &mut Vec<Action>,
     ) {
         self.seen = None;
-        self.begin(now, outside, Look::begun(self.whole_look()), out);
+        self.begin(now, devices, Look::begun(self.whole_look()), out);
     }
 
-    fn begin(&mut self, now: Timestamp, outside: &DeviceSnapshot, look: Look, out: &mut Vec<Action>) {
+    fn begin(&mut self, now: Timestamp, devices: &DeviceSnapshot, look: Look, out: &mut Vec<Action>) {
         if look.region.is_none() {
             self.times.begins_round();
         }
-        self.go_to_look(now, outside, look, out);
+        self.go_to_look(now, devices, look, out);
     }
 
     /// Sends the arm to the present pose of a look.
     fn go_to_look(
         &mut self,
         now: Timestamp,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         mut look: Look,
         out: &mut Vec<Action>,
     ) {
-        let (Some(robot), Some(target)) = (outside.robot, look.poses.get(look.at).copied()) else { return };
+        let (Some(robot), Some(target)) = (devices.robot, look.poses.get(look.at).copied()) else { return };
         match self.transfer_to(&robot.q, target) {
             Ok(path) => {
                 out.push(Action::Robot(RobotCommand::Stream(path)));
@@ -87,14 +87,14 @@ impl Supervisor {
             }
             // Taught poses are known to be reached.
             Err(_) if look.region.is_some() && self.seen.is_some() => {
-                self.begin_whole_look(now, outside, out)
+                self.begin_whole_look(now, devices, out)
             }
             Err(fault) => match self.place_look(&robot.q).filter(|_| look.region.is_none()) {
                 // What was let go may hang on the cups and be in the way: first its place alone is looked
                 // at, from where the arm can get to with it.
                 Some(plan) => {
                     self.seen = None;
-                    self.go_to_look(now, outside, Look::begun(plan), out);
+                    self.go_to_look(now, devices, Look::begun(plan), out);
                 }
                 None => self.no_way_to_look(now, look.at, (&robot.q, &fault), out),
             },
@@ -148,10 +148,10 @@ impl Supervisor {
     }
 
     /// While settling: requests frames once the arm has been at rest long enough.
-    pub(crate) fn watch_settling(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
+    pub(crate) fn watch_settling(&mut self, now: Timestamp, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
         let Phase::Look(look) = &mut self.phase else { return };
         let LookStage::Settling { still_since } = &mut look.stage else { return };
-        let Some(robot) = outside.robot.filter(|_| outside.robot_fresh) else { return };
+        let Some(robot) = devices.robot.filter(|_| devices.robot_fresh) else { return };
         if robot.qd.iter().any(|speed| speed.abs() > STILL_RAD_S) {
             *still_since = None;
             return;
@@ -170,11 +170,11 @@ impl Supervisor {
     }
 
     /// The frames of this pose are exposed: the arm may go on.
-    pub(crate) fn on_exposed(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
+    pub(crate) fn on_exposed(&mut self, now: Timestamp, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
         self.camera = Some(Ok(()));
         let Phase::Look(look) = &mut self.phase else { return };
         let LookStage::Capturing { q } = &look.stage else { return };
-        let moved = outside.robot.is_none_or(|robot| robot.q.max_difference(q) > SAME_PLACE_RAD);
+        let moved = devices.robot.is_none_or(|robot| robot.q.max_difference(q) > SAME_PLACE_RAD);
         look.awaited.push_back(!moved);
         if moved {
             say(out, "the arm moved while a frame was taken; taking it again");
@@ -191,11 +191,11 @@ impl Supervisor {
             return;
         }
         // Much may have happened since the first pose: a person may have disarmed the cell.
-        let open = gates::any_motion(self.mode.armed(), outside, self.nonce).is_ok();
+        let open = gates::any_motion(self.mode.armed(), devices, self.nonce).is_ok();
         if let Phase::Look(look) = std::mem::replace(&mut self.phase, Phase::Ready)
             && open
         {
-            self.go_to_look(now, outside, *look, out);
+            self.go_to_look(now, devices, *look, out);
         }
     }
 
@@ -203,7 +203,7 @@ impl Supervisor {
     pub(crate) fn on_captured(
         &mut self,
         now: Timestamp,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         result: Result<Vec<View>, CameraFault>,
         out: &mut Vec<Action>,
     ) {
@@ -211,7 +211,7 @@ impl Supervisor {
         if look.awaited.is_empty() {
             match &result {
                 // Whoever does not report exposures has just ended one.
-                Ok(_) => self.on_exposed(now, outside, out),
+                Ok(_) => self.on_exposed(now, devices, out),
                 Err(fault) => return self.no_picture(now, fault.clone(), out),
             }
         }

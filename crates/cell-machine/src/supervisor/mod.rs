@@ -5,7 +5,7 @@
 //! disk. `gates`: the conditions without which nothing moves. `cell`: the states: look, plan, approve, pick,
 //! verify, place, look again; `bring_up`, `look`, `sight`, `route`, `travel`, `judge`, `work`, `visits`,
 //! `wanted`, `preview`, `operator`, `answers`, `standing`, `lapse`, `identity`, `holding`, `faults`,
-//! `trouble`, `recovery`, `free_place`, `situation`, `paused`, `device_notes` and `time_book` hold its
+//! `stop_reasons`, `recovery`, `free_place`, `situation`, `paused`, `device_notes` and `time_book` hold its
 //! parts. `draft`: plans for goals that are not submitted. No clock, no socket: time and the devices' last
 //! word come in with every call, so that every stop, fault and late answer can be played through in a test.
 
@@ -42,10 +42,10 @@ mod sight;
 pub mod situation;
 mod standing;
 pub mod status;
+mod stop_reasons;
 mod tabletop;
 mod time_book;
 mod travel;
-mod trouble;
 mod visits;
 mod wanted;
 mod work;

@@ -20,14 +20,14 @@ impl Supervisor {
     pub(crate) fn take_order(
         &mut self,
         now: Timestamp,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         number: u64,
         order: &Order,
         out: &mut Vec<Action>,
     ) -> Option<Reply> {
         match order {
-            Order::Arm => return self.on_arm(outside, out),
-            Order::Disarm => self.on_disarm(now, outside, number, out),
+            Order::Arm => return self.on_arm(devices, out),
+            Order::Disarm => self.on_disarm(now, devices, number, out),
             Order::Approve { id, plan: Some(plan) } if *plan != self.plans => {
                 return Some(self.another_plan(id));
             }
@@ -37,18 +37,18 @@ impl Supervisor {
             Order::Pause | Order::Step | Order::Park if self.has_no_pace().is_some() => {
                 return self.has_no_pace();
             }
-            Order::Pause => return self.on_pause(outside),
-            Order::Resume if !self.mode.paused() && self.moving() && motion_speed(outside) == 0.0 => {
+            Order::Pause => return self.on_pause(devices),
+            Order::Resume if !self.mode.paused() && self.moving() && motion_speed(devices) == 0.0 => {
                 let why =
                     "celld was not paused: the arm is held at the pendant, by pause or by the speed slider";
                 return Some(Reply::refuse(why));
             }
             Order::Resume if !self.mode.paused() => return Some(Reply::accept("nothing was paused")),
             Order::Resume => self.mode.set_pace(Pace::Running),
-            Order::Step if !self.mode.armed() => return Some(self.not_armed(outside, "no step")),
+            Order::Step if !self.mode.armed() => return Some(self.not_armed(devices, "no step")),
             Order::Step => self.mode.set_pace(Pace::OneMove),
-            Order::Park if !self.mode.armed() => return Some(self.not_armed(outside, "not parked")),
-            Order::Park if self.is_parked(outside) && !self.moving() => {
+            Order::Park if !self.mode.armed() => return Some(self.not_armed(devices, "not parked")),
+            Order::Park if self.is_parked(devices) && !self.moving() => {
                 return Some(Reply::accept("the arm is at its park pose already"));
             }
             Order::Park => {
@@ -59,10 +59,10 @@ impl Supervisor {
                 self.on_abort(now, out);
                 self.answer_when_it_stands(now, number, Then::Say);
             }
-            Order::Release(channels) => self.on_release_order(now, outside, number, *channels, out),
-            Order::Recover(way) => return self.on_recover(now, outside, number, *way, out),
-            Order::ConfirmGripper => return Some(self.on_confirm_gripper(outside, out)),
-            Order::Calibrate => return self.on_calibrate(now, outside),
+            Order::Release(channels) => self.on_release_order(now, devices, number, *channels, out),
+            Order::Recover(way) => return self.on_recover(now, devices, number, *way, out),
+            Order::ConfirmGripper => return Some(self.on_confirm_gripper(devices, out)),
+            Order::Calibrate => return self.on_calibrate(now, devices),
         }
         None
     }
@@ -77,7 +77,7 @@ impl Supervisor {
         Some(Reply::refuse(format!("no: a {what} is under way; `celld abort` ends it")))
     }
 
-    fn on_pause(&mut self, outside: &DeviceSnapshot) -> Option<Reply> {
+    fn on_pause(&mut self, devices: &DeviceSnapshot) -> Option<Reply> {
         let parks = matches!(self.phase, Phase::Park);
         if self.mode.paused() && !parks {
             let said = match self.mode.parks() {
@@ -91,14 +91,14 @@ impl Supervisor {
         if !parks {
             self.mode.set_park(false);
         }
-        (!self.mode.paused()).then(|| self.not_armed(outside, "not paused, and nothing moves"))
+        (!self.mode.paused()).then(|| self.not_armed(devices, "not paused, and nothing moves"))
     }
 
-    pub(crate) fn not_armed(&self, outside: &DeviceSnapshot, what: &str) -> Reply {
+    pub(crate) fn not_armed(&self, devices: &DeviceSnapshot, what: &str) -> Reply {
         Reply::refuse(match &self.mode {
             Mode::Ending { .. } => format!("{what}: celld is ending"),
             Mode::Locked(reason) => format!("{what}: {reason}"),
-            Mode::Disarmed { .. } | Mode::Armed { .. } => match self.may_arm(outside) {
+            Mode::Disarmed { .. } | Mode::Armed { .. } => match self.may_arm(devices) {
                 Ok(()) => format!("{what}: the cell is disarmed; `celld arm` first"),
                 Err(closed) => {
                     let why = self.place(&closed);
@@ -109,8 +109,8 @@ impl Supervisor {
     }
 
     /// What a person has ordered for safe access and that is not over yet.
-    pub(crate) fn under_way(&self, outside: &DeviceSnapshot) -> Option<&'static str> {
-        if self.stopping(outside) {
+    pub(crate) fn under_way(&self, devices: &DeviceSnapshot) -> Option<&'static str> {
+        if self.stopping(devices) {
             Some("a stop is under way, and the arm is not known to stand yet")
         } else if !self.release_orders.is_empty() {
             Some("a release is under way, and the gripper has not confirmed it yet")
@@ -119,7 +119,7 @@ impl Supervisor {
         }
     }
 
-    fn on_arm(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) -> Option<Reply> {
+    fn on_arm(&mut self, devices: &DeviceSnapshot, out: &mut Vec<Action>) -> Option<Reply> {
         if self.back.recovery.is_some() {
             return Some(Reply::refuse(
                 "not armed: a way back is under way, and the arm may move; `celld abort` stops it",
@@ -128,10 +128,10 @@ impl Supervisor {
         if self.mode.armed() {
             return Some(Reply::accept("armed already"));
         }
-        if let Some(why) = self.under_way(outside) {
+        if let Some(why) = self.under_way(devices) {
             return Some(Reply::refuse(format!("not armed: {why}; try again")));
         }
-        let open = self.may_arm(outside);
+        let open = self.may_arm(devices);
         if let (Mode::Disarmed { .. }, Err(closed)) = (&self.mode, &open) {
             return Some(Reply::refuse(self.not_armed_for(closed)));
         }
@@ -144,13 +144,13 @@ impl Supervisor {
             });
         }
         say(out, "armed");
-        self.armed_now(outside, out);
+        self.armed_now(devices, out);
         None
     }
 
     /// The cell has just been armed. The person who arms has been at the table: what was on it may be gone,
     /// and only a look can show it; a plan that is being made rests on what was there.
-    pub(crate) fn armed_now(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
+    pub(crate) fn armed_now(&mut self, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
         self.arms_when_open = false;
         (self.back.fell, self.back.last_stop, self.back.error) = (None, None, None);
         self.back.weak = None;
@@ -164,9 +164,9 @@ impl Supervisor {
         }
         // At once: a person has to see what comes of the order, not minutes later.
         let off =
-            outside.robot.is_some_and(|r| matches!(r.robot_mode, RobotMode::PowerOff | RobotMode::Idle));
+            devices.robot.is_some_and(|r| matches!(r.robot_mode, RobotMode::PowerOff | RobotMode::Idle));
         if off && matches!(self.phase, Phase::Ready | Phase::Approve) {
-            self.begin_bring_up(outside, out);
+            self.begin_bring_up(devices, out);
         }
     }
 
@@ -183,8 +183,8 @@ impl Supervisor {
     /// A pick-n-place under way is finished, then nothing moves; the person who disarms may put hands on the
     /// table. What is held in the middle of a motion does not go on by itself later: it is stopped. So is a
     /// robot that is being started: power, brakes and program would come after the answer.
-    fn on_disarm(&mut self, now: Timestamp, outside: &DeviceSnapshot, number: u64, out: &mut Vec<Action>) {
-        let held = self.moving() && motion_speed(outside) == 0.0;
+    fn on_disarm(&mut self, now: Timestamp, devices: &DeviceSnapshot, number: u64, out: &mut Vec<Action>) {
+        let held = self.moving() && motion_speed(devices) == 0.0;
         if held || self.round.is_some() || self.back.recovery.is_some() {
             let what = match (held, self.round.is_some()) {
                 (true, _) => "while the arm was held",
@@ -195,8 +195,8 @@ impl Supervisor {
             self.stop_what_has_begun(now, JobStatus::Interrupted, reason, out);
             return self.answer_when_it_stands(now, number, Then::Say);
         }
-        let goes_on = self.disarm_after_this_motion(now, outside, out);
-        if self.stopping(outside) {
+        let goes_on = self.disarm_after_this_motion(now, devices, out);
+        if self.stopping(devices) {
             self.answer_when_it_stands(now, number, Then::Say);
         }
         say(
@@ -214,10 +214,10 @@ impl Supervisor {
     pub(crate) fn disarm_after_this_motion(
         &mut self,
         now: Timestamp,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         out: &mut Vec<Action>,
     ) -> bool {
-        let rests = outside.robot.is_some_and(|robot| outside.robot_fresh && robot.stands_still());
+        let rests = devices.robot.is_some_and(|robot| devices.robot_fresh && robot.stands_still());
         let travels = matches!(self.phase, Phase::Look(_) | Phase::Park) && self.follows_a_path();
         let not_set_out = travels && rests;
         if not_set_out || matches!(self.phase, Phase::BringUp(_)) {
@@ -300,12 +300,12 @@ impl Supervisor {
     }
 
     /// Once for an address: nothing that could be read from the device proves what it is.
-    fn on_confirm_gripper(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) -> Reply {
+    fn on_confirm_gripper(&mut self, devices: &DeviceSnapshot, out: &mut Vec<Action>) -> Reply {
         let address = &self.model.addresses.gripper;
         if self.model.gripper_confirmed {
             return Reply::accept(format!("confirmed already: the gripper is at {address}"));
         }
-        if !outside.gripper_answers {
+        if !devices.gripper_answers {
             let why = self.place(&GateClosed::Gripper);
             return Reply::refuse(format!("not confirmed: {why}; {}", GateClosed::Gripper.hint()));
         }
@@ -339,7 +339,7 @@ impl Supervisor {
     pub(crate) fn on_release_order(
         &mut self,
         now: Timestamp,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         number: u64,
         channels: Channels,
         out: &mut Vec<Action>,
@@ -352,7 +352,7 @@ impl Supervisor {
                 "if something was held, see where it lies; then `celld arm` and submit again",
             );
             self.stop_all(now, JobStatus::Interrupted, reason, out);
-        } else if self.arm_stands(outside) || (self.stands && !outside.robot_fresh) {
+        } else if self.arm_stands(devices) || (self.stands && !devices.robot_fresh) {
             return self.release(number, channels, out);
         }
         self.answer_when_it_stands(now, number, Then::Release(channels));

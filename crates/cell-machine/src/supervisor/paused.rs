@@ -13,10 +13,10 @@ impl Supervisor {
     /// it plays again, and fall away with a stop.
     pub(crate) fn hold_while_paused(
         &mut self,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         actions: Vec<Action>,
     ) -> Vec<Action> {
-        let playing = outside.robot.is_none_or(|robot| robot.runtime_state == RuntimeState::Playing);
+        let playing = devices.robot.is_none_or(|robot| robot.runtime_state == RuntimeState::Playing);
         let mut out = if playing { std::mem::take(&mut self.held_back) } else { Vec::new() };
         for action in actions {
             match &action {

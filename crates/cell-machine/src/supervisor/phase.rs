@@ -44,8 +44,8 @@ pub(crate) enum Phase {
 /// Bring-up of the robot: which request is out, if any.
 #[derive(Debug, Default, Deserialize, Serialize)]
 pub(crate) struct BringUp {
-    pub asked: Option<RobotMode>,
-    pub program_asked: bool,
+    pub requested: Option<RobotMode>,
+    pub program_requested: bool,
 }
 
 /// A look at the table.
@@ -182,7 +182,7 @@ pub(crate) struct Glance {
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub(crate) enum Preview {
     /// The planner works on it.
-    Asked,
+    Requested,
     /// A person may look at it.
     Made(Vec<RouteAction>),
     /// It cannot be had.

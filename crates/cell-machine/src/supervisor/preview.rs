@@ -2,9 +2,9 @@
 //!
 //! In: a job of a disarmed cell, the last sight of the whole table. Out: a plan that is shown and never
 //! carried out. It can be approved before and without arming; once armed, the cell looks, plans for what it
-//! sees and asks again where a move differs (`wanted`). What was seen counts for a preview until the arm
-//! picks something; that a person has moved something since cannot be known, which is why the age of the
-//! sight goes with it.
+//! sees and needs a new approval where a move differs (`wanted`). What was seen counts for a preview until
+//! the arm picks something; that a person has moved something since cannot be known, which is why the age
+//! of the sight goes with it.
 
 use crate::orders::Approval;
 use crate::supervisor::cell::Supervisor;
@@ -25,10 +25,10 @@ impl Supervisor {
         if self.mode.armed() || shown || self.back.recovery.is_some() {
             return;
         }
-        let asked = match self.preview_request(job, glance) {
+        let requested = match self.preview_request(job, glance) {
             Ok(request) => {
                 out.push(Action::Plan(Box::new(request)));
-                Preview::Asked
+                Preview::Requested
             }
             Err(reason) => {
                 let (age, id) = (age_words(now, glance.at), &job.order.id);
@@ -37,7 +37,7 @@ impl Supervisor {
             }
         };
         if let Some(job) = &mut self.job {
-            job.preview = Some(asked);
+            job.preview = Some(requested);
         }
     }
 
@@ -49,7 +49,7 @@ impl Supervisor {
     /// The planner's word on a preview.
     pub(crate) fn on_preview(&mut self, now: Timestamp, answer: &PlanAnswer, out: &mut Vec<Action>) {
         let (Some(job), Some(glance)) = (&self.job, &self.glance) else { return };
-        if job.preview != Some(Preview::Asked) {
+        if job.preview != Some(Preview::Requested) {
             return;
         }
         let (id, age) = (job.order.id.clone(), age_words(now, glance.at));
@@ -96,14 +96,14 @@ impl Supervisor {
     /// A preview is there that a person may approve, and none has been.
     pub(crate) fn preview_waits(&self) -> bool {
         let Some(job) = &self.job else { return false };
-        let asks = job.order.approval != Approval::Never && !job.approved && job.order.agreed.is_empty();
+        let requests = job.order.approval != Approval::Never && !job.approved && job.order.agreed.is_empty();
         let made = matches!(&job.preview, Some(Preview::Made(route)) if !route.is_empty());
-        matches!(self.phase, Phase::Ready) && !self.mode.armed() && made && asks
+        matches!(self.phase, Phase::Ready) && !self.mode.armed() && made && requests
     }
 
     /// The cell is armed: it looks, and plans for what it sees.
     pub(crate) fn preview_over(&mut self) {
-        if let Some(job) = self.job.as_mut().filter(|job| job.preview == Some(Preview::Asked)) {
+        if let Some(job) = self.job.as_mut().filter(|job| job.preview == Some(Preview::Requested)) {
             job.preview = None;
         }
     }

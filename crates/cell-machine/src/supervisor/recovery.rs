@@ -36,25 +36,25 @@ impl Supervisor {
     pub(crate) fn on_recover(
         &mut self,
         now: Timestamp,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         number: u64,
         way: WayBack,
         out: &mut Vec<Action>,
     ) -> Option<Reply> {
         if way == WayBack::Show {
-            return Some(Reply::accept(self.situation(now, outside)));
+            return Some(Reply::accept(self.situation(now, devices)));
         }
-        if let Err(why) = self.may_recover(outside, way) {
+        if let Err(why) = self.may_recover(devices, way) {
             return Some(Reply::refuse(format!("nothing was done: {why}")));
         }
         self.arms_when_open = false;
         if way == WayBack::Release {
             // Hands are at the gripper: a protective stop stays, `--hold` unlocks it afterwards.
-            self.on_release_order(now, outside, number, Channels::Both, out);
+            self.on_release_order(now, devices, number, Channels::Both, out);
             return None;
         }
-        let stopped = protective(outside);
-        say(out, format!("way back by the operator's order: {}", self.announce(outside, way)));
+        let stopped = protective(devices);
+        say(out, format!("way back by the operator's order: {}", self.announce(devices, way)));
         self.back.ended = None;
         self.back.recovery = Some(Recovery { way, raised: false, below: None, search: None, place: None });
         if stopped {
@@ -66,7 +66,7 @@ impl Supervisor {
     }
 
     /// Why a way back cannot be taken now, and what to do first.
-    pub(crate) fn may_recover(&self, outside: &DeviceSnapshot, way: WayBack) -> Result<(), String> {
+    pub(crate) fn may_recover(&self, devices: &DeviceSnapshot, way: WayBack) -> Result<(), String> {
         use crate::supervisor::mode::Mode;
         match &self.mode {
             Mode::Ending { .. } => return Err("celld is ending".to_string()),
@@ -79,30 +79,30 @@ impl Supervisor {
         if self.back.recovery.is_some() {
             return Err("a way back is under way; `celld abort` stops it".to_string());
         }
-        if let Some(why) = self.under_way(outside) {
+        if let Some(why) = self.under_way(devices) {
             return Err(format!("{why}; try again"));
         }
         if !matches!(self.phase, Phase::Ready | Phase::Approve) {
             return Err("a motion or a plan is under way: wait for its end, or `celld abort`".to_string());
         }
-        gates::recovering(outside)
+        gates::recovering(devices)
             .map_err(|closed| format!("{}; {}", self.place(&closed), closed.hint_to_try_again()))?;
-        if !outside.robot.is_some_and(RobotState::stands_still) {
+        if !devices.robot.is_some_and(RobotState::stands_still) {
             return Err("the arm moves, and not by celld: see what moves it".to_string());
         }
-        self.suits(outside, way)
+        self.suits(devices, way)
     }
 
     /// Whether a way fits what is held.
-    fn suits(&self, outside: &DeviceSnapshot, way: WayBack) -> Result<(), String> {
-        let holds = match gates::empty_handed(outside) {
+    fn suits(&self, devices: &DeviceSnapshot, way: WayBack) -> Result<(), String> {
+        let holds = match gates::empty_handed(devices) {
             Ok(()) => false,
             Err(gates::GateClosed::Holding(_)) => true,
             Err(closed) => return Err(format!("{}; {}", self.place(&closed), closed.hint())),
         };
         match way {
             WayBack::Show => Ok(()),
-            WayBack::Hold if !protective(outside) => {
+            WayBack::Hold if !protective(devices) => {
                 Err("there is no protective stop to unlock, and what is held stays held".to_string())
             }
             WayBack::Hold | WayBack::Retreat => Ok(()),
@@ -110,18 +110,18 @@ impl Supervisor {
             WayBack::Release if holds || self.back.held.is_some() => Ok(()),
             WayBack::Place | WayBack::Release if !holds => Err("no vacuum holds anything".to_string()),
             WayBack::Release => Ok(()),
-            WayBack::Place => self.can_be_placed(outside),
+            WayBack::Place => self.can_be_placed(devices),
         }
     }
 
     /// Whether what is held can be put down at all: known, watched, and hanging straight down.
-    fn can_be_placed(&self, outside: &DeviceSnapshot) -> Result<(), String> {
+    fn can_be_placed(&self, devices: &DeviceSnapshot) -> Result<(), String> {
         let by_hand = "`celld recover --retreat`, then hold it and `celld recover --release`";
         let grasp = self.back.held.as_ref().and_then(|held| held.grasp.as_ref());
-        let Some((grasp, robot)) = grasp.zip(outside.robot) else {
+        let Some((grasp, robot)) = grasp.zip(devices.robot) else {
             return Err(format!("what hangs on the gripper, or how, is not known: {by_hand}"));
         };
-        if self.back.fell.is_some() || !outside.gripper_holds {
+        if self.back.fell.is_some() || !devices.gripper_holds {
             return Err(format!("the vacuum does not hold it as it should: {by_hand}"));
         }
         if grasp.object_at(&self.model.arm, &robot.q).is_none() {
@@ -131,11 +131,11 @@ impl Supervisor {
     }
 
     /// What a way back will do, in the order in which it does it.
-    pub(crate) fn announce(&self, outside: &DeviceSnapshot, way: WayBack) -> String {
+    pub(crate) fn announce(&self, devices: &DeviceSnapshot, way: WayBack) -> String {
         let object = self.back.held.as_ref().map_or("what is held", |held| held.object.as_str());
         let off =
-            outside.robot.is_some_and(|r| matches!(r.robot_mode, RobotMode::PowerOff | RobotMode::Idle));
-        let first = match (protective(outside), off) {
+            devices.robot.is_some_and(|r| matches!(r.robot_mode, RobotMode::PowerOff | RobotMode::Idle));
+        let first = match (protective(devices), off) {
             (true, _) => "the protective stop is unlocked, then ",
             (false, true) if way != WayBack::Hold => "the arm is powered and its brakes released, then ",
             (false, _) => "",
@@ -145,7 +145,7 @@ impl Supervisor {
             WayBack::Hold => {
                 format!("{first}nothing moves: {object} stays held and watched, and the cell disarmed")
             }
-            WayBack::Release if protective(outside) => {
+            WayBack::Release if protective(devices) => {
                 format!(
                     "the vacuum goes off where the arm is: hold {object} by hand; then `--hold` unlocks the \
                      stop"
@@ -164,7 +164,7 @@ impl Supervisor {
     }
 
     /// The answer to a choice that was taken.
-    pub(crate) fn recovering(&self, outside: &DeviceSnapshot, way: WayBack) -> Reply {
+    pub(crate) fn recovering(&self, devices: &DeviceSnapshot, way: WayBack) -> Reply {
         match &self.back.ended {
             Some(Ok(said)) => return Reply::accept(format!("{said}; the cell is disarmed")),
             Some(Err(why)) => return Reply::refuse(format!("the way back ended: {why}")),
@@ -172,7 +172,7 @@ impl Supervisor {
         }
         Reply::accept(format!(
             "{}; `celld abort` stops it, `celld status` shows it",
-            self.announce(outside, way)
+            self.announce(devices, way)
         ))
     }
 
@@ -180,11 +180,11 @@ impl Supervisor {
     pub(crate) fn watch_unlocking(
         &mut self,
         now: Timestamp,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         out: &mut Vec<Action>,
     ) {
         let Phase::Recover(BackStage::Unlocking { ordered }) = self.phase else { return };
-        let Some(robot) = outside.robot.filter(|_| outside.robot_fresh) else { return };
+        let Some(robot) = devices.robot.filter(|_| devices.robot_fresh) else { return };
         if robot.safety_mode.allows_motion() {
             return self.unlocked(now, out);
         }
@@ -221,31 +221,31 @@ impl Supervisor {
     pub(crate) fn pursue_recovery(
         &mut self,
         now: Timestamp,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         out: &mut Vec<Action>,
     ) {
         if !self.mode.armed() {
             return self.end_recovery(Err("the cell was disarmed".to_string()), out);
         }
-        if let Err(closed) = gates::any_motion(true, outside, self.nonce) {
-            return self.wait_or_bring_up(now, outside, closed, out);
+        if let Err(closed) = gates::any_motion(true, devices, self.nonce) {
+            return self.wait_or_bring_up(now, devices, closed, out);
         }
         let Some(recovery) = &self.back.recovery else { return };
         if !recovery.raised {
-            return self.raise(outside, out);
+            return self.raise(devices, out);
         }
         if recovery.way == WayBack::Retreat {
             return self
                 .end_recovery(Ok("the arm is high enough over everything on the table".to_string()), out);
         }
         match self.seen.take() {
-            None => self.begin_whole_look(now, outside, out),
-            Some(seen) => self.put_down(outside, seen, out),
+            None => self.begin_whole_look(now, devices, out),
+            Some(seen) => self.put_down(devices, seen, out),
         }
     }
 
-    fn raise(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
-        let Some(robot) = outside.robot else { return };
+    fn raise(&mut self, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
+        let Some(robot) = devices.robot else { return };
         match self.straight_up_path(&robot.q) {
             Ok(Some(path)) => {
                 out.push(Action::Robot(RobotCommand::Stream(path)));
@@ -256,7 +256,7 @@ impl Supervisor {
                 if let Some(recovery) = &mut self.back.recovery {
                     (recovery.raised, recovery.below) = (true, below);
                 }
-                self.pursue_recovery(self.clock(), outside, out);
+                self.pursue_recovery(self.clock(), devices, out);
             }
             Err(fault) => {
                 let advice = self.advice(&robot.q, &NoTravel::Path(fault.clone()));
@@ -271,9 +271,9 @@ impl Supervisor {
         self.back.held.as_ref()?.grasp.as_ref()?.object_at(&self.model.arm, &robot.q)
     }
 
-    fn put_down(&mut self, outside: &DeviceSnapshot, seen: Observation, out: &mut Vec<Action>) {
-        let Some(robot) = outside.robot else { return };
-        match self.place_sought(outside, &robot.q, &seen) {
+    fn put_down(&mut self, devices: &DeviceSnapshot, seen: Observation, out: &mut Vec<Action>) {
+        let Some(robot) = devices.robot else { return };
+        match self.place_sought(devices, &robot.q, &seen) {
             // One path at a time: heartbeats go out between them.
             Searched::NotYet => self.seen = Some(seen),
             Searched::Found(to, meant, paths) => {
@@ -294,9 +294,9 @@ impl Supervisor {
     }
 
     /// One step of the search for a place.
-    fn place_sought(&mut self, outside: &DeviceSnapshot, q: &Joints, seen: &Observation) -> Searched {
+    fn place_sought(&mut self, devices: &DeviceSnapshot, q: &Joints, seen: &Observation) -> Searched {
         let below = self.back.recovery.as_ref().and_then(|recovery| recovery.below);
-        let held = self.back.fell.is_none() && outside.gripper_holds;
+        let held = self.back.fell.is_none() && devices.gripper_holds;
         let Some(below) = below.filter(|_| held) else {
             return Searched::Nowhere("what is held is not held as it should".to_string());
         };
@@ -347,14 +347,14 @@ impl Supervisor {
     /// The arm has followed its path on a way back.
     pub(crate) fn recovery_path_finished(
         &mut self,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         stage: BackStage,
         out: &mut Vec<Action>,
     ) {
         match stage {
             BackStage::Raising => {
                 self.phase = Phase::Ready;
-                let below = outside.robot.and_then(|robot| self.below(robot));
+                let below = devices.robot.and_then(|robot| self.below(robot));
                 if let Some(recovery) = &mut self.back.recovery {
                     (recovery.raised, recovery.below) = (true, below);
                 }
@@ -483,6 +483,6 @@ impl Supervisor {
 }
 
 /// The arm is in a protective stop.
-pub(crate) fn protective(outside: &DeviceSnapshot) -> bool {
-    outside.robot.is_some_and(|robot| robot.safety_mode == SafetyMode::ProtectiveStop)
+pub(crate) fn protective(devices: &DeviceSnapshot) -> bool {
+    devices.robot.is_some_and(|robot| robot.safety_mode == SafetyMode::ProtectiveStop)
 }

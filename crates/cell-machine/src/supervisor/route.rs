@@ -41,7 +41,7 @@ impl Supervisor {
     pub(crate) fn compare_and_continue(
         &mut self,
         now: Timestamp,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         out: &mut Vec<Action>,
     ) {
         if !self.settle_goals(now, out) {
@@ -65,10 +65,10 @@ impl Supervisor {
                 if let Some(job) = &mut self.job {
                     job.route = Some(route);
                 }
-                self.begin_pick_n_place(now, outside, out);
+                self.begin_pick_n_place(now, devices, out);
             }
             // A job ends, and a plan is made, on a look at the whole table.
-            Some(_) | None if !self.sight.whole => self.begin_whole_look(now, outside, out),
+            Some(_) | None if !self.sight.whole => self.begin_whole_look(now, devices, out),
             Some(_) | None => self.request_plan(now, out),
         }
     }

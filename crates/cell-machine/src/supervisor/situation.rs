@@ -58,20 +58,20 @@ impl Supervisor {
     }
 
     /// The lines of `celld recover`.
-    pub(crate) fn situation(&self, now: Timestamp, outside: &DeviceSnapshot) -> String {
+    pub(crate) fn situation(&self, now: Timestamp, devices: &DeviceSnapshot) -> String {
         let mut lines = vec![self.what_happened(now)];
         lines.extend(self.back.error.map(|(code, argument)| {
             let words =
                 meaning(code, argument).unwrap_or_else(|| "see the maker's error code directory".into());
             format!("controller: C{code}A{argument}, {words}")
         }));
-        lines.push(self.how_the_robot_is(outside));
+        lines.push(self.how_the_robot_is(devices));
         lines.extend(self.registers_taken());
-        lines.push(self.what_is_held(outside));
-        lines.extend(self.where_the_arm_is(outside));
+        lines.push(self.what_is_held(devices));
+        lines.extend(self.where_the_arm_is(devices));
         lines.push("ways back:".to_string());
-        lines.extend(WAYS.map(|(way, option)| match self.may_recover(outside, way) {
-            Ok(()) => format!("  celld recover {option:<10} {}", self.announce(outside, way)),
+        lines.extend(WAYS.map(|(way, option)| match self.may_recover(devices, way) {
+            Ok(()) => format!("  celld recover {option:<10} {}", self.announce(devices, way)),
             Err(why) => format!("  not now: {option:<14} {why}"),
         }));
         lines.push(match self.mode.armed() {
@@ -79,7 +79,7 @@ impl Supervisor {
             false if !self.mode.can_be_armed() => {
                 "`celld arm` is refused: the cell is locked or ends".to_string()
             }
-            false => match self.may_arm(outside) {
+            false => match self.may_arm(devices) {
                 Ok(()) => "`celld arm` goes on with jobs".to_string(),
                 Err(closed) => format!("`celld arm` is refused: {}", self.place(&closed)),
             },
@@ -105,9 +105,9 @@ impl Supervisor {
         }
     }
 
-    fn how_the_robot_is(&self, outside: &DeviceSnapshot) -> String {
-        let down = outside.link_down.map(|link| GateClosed::Link(link).to_string());
-        let Some(robot) = outside.robot.filter(|_| outside.robot_fresh) else {
+    fn how_the_robot_is(&self, devices: &DeviceSnapshot) -> String {
+        let down = devices.link_down.map(|link| GateClosed::Link(link).to_string());
+        let Some(robot) = devices.robot.filter(|_| devices.robot_fresh) else {
             let why = down.unwrap_or_else(|| GateClosed::Stale.to_string());
             return format!("robot: {why} ({})", self.model.addresses.robot);
         };
@@ -125,15 +125,15 @@ impl Supervisor {
         )
     }
 
-    fn what_is_held(&self, outside: &DeviceSnapshot) -> String {
-        let Some([a, b]) = outside.vacuum.filter(|_| outside.gripper_answers) else {
+    fn what_is_held(&self, devices: &DeviceSnapshot) -> String {
+        let Some([a, b]) = devices.vacuum.filter(|_| devices.gripper_answers) else {
             let at = &self.model.addresses.gripper;
             let object = self.back.held.as_ref().map_or("nothing", |held| held.object.as_str());
             return format!("held: not known, the gripper does not answer ({at}); before that: {object}");
         };
         let vacuum = format!("vacuum A {:.0} %, B {:.0} %", a * 100.0, b * 100.0);
         let object = self.back.held.as_ref().map(|held| held.object.as_str());
-        match (gates::empty_handed(outside).is_ok(), object) {
+        match (gates::empty_handed(devices).is_ok(), object) {
             (true, None) => format!("held: nothing ({vacuum})"),
             (true, Some(object)) => {
                 let fell = self.back.fell.as_ref().map_or_else(String::new, |fell| format!("{fell}; "));
@@ -144,14 +144,14 @@ impl Supervisor {
         }
     }
 
-    fn where_the_arm_is(&self, outside: &DeviceSnapshot) -> Option<String> {
-        let robot = outside.robot?;
+    fn where_the_arm_is(&self, devices: &DeviceSnapshot) -> Option<String> {
+        let robot = devices.robot?;
         let tool = self.model.arm.tool_at(&robot.q).translation.vector;
         let height = (tool.z - self.held_height()) * 1e3;
         let what = if self.back.held.is_some() { "what hangs on it" } else { "the cups" };
         Some(format!(
             "arm{}: tool at x {:.3} m, y {:.3} m; {what} {height:.0} mm over the table",
-            if outside.robot_fresh { "" } else { ", as it was last known" },
+            if devices.robot_fresh { "" } else { ", as it was last known" },
             tool.x,
             tool.y
         ))

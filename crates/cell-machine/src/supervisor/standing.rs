@@ -28,17 +28,17 @@ impl Supervisor {
     pub(crate) fn watch_standing(
         &mut self,
         now: Timestamp,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         order: Option<u64>,
         out: &mut Vec<Action>,
     ) {
-        let fresh = outside.robot.filter(|_| outside.robot_fresh);
-        let stands = self.arm_stands(outside);
+        let fresh = devices.robot.filter(|_| devices.robot_fresh);
+        let stands = self.arm_stands(devices);
         self.stands |= stands && order.is_none();
-        self.arm_settled = outside.arm_settled;
+        self.arm_settled = devices.arm_settled;
         self.robot_seen |= fresh.is_some();
-        self.back.grips = matches!(gates::empty_handed(outside), Err(GateClosed::Holding(_)));
-        self.name_what_hangs(outside, out);
+        self.back.grips = matches!(gates::empty_handed(devices), Err(GateClosed::Holding(_)));
+        self.name_what_hangs(devices, out);
         for waits in std::mem::take(&mut self.until_it_stands) {
             let late = now.since(waits.since) >= STANDS_WITHIN;
             if (!stands && !late) || order == Some(waits.number) {
@@ -59,7 +59,7 @@ impl Supervisor {
                     ),
                 }),
                 Then::Say => {
-                    let reply = stopped(stands, fresh, outside.arm_settled);
+                    let reply = stopped(stands, fresh, devices.arm_settled);
                     out.push(Action::Reply { number: waits.number, reply });
                 }
             }
@@ -68,27 +68,27 @@ impl Supervisor {
 
     /// The arm has come to rest, and nothing that celld has ordered moves it on: a stop has been confirmed,
     /// or no program is there any more.
-    pub(crate) fn arm_stands(&self, outside: &DeviceSnapshot) -> bool {
-        let fresh = outside.robot.filter(|_| outside.robot_fresh);
+    pub(crate) fn arm_stands(&self, devices: &DeviceSnapshot) -> bool {
+        let fresh = devices.robot.filter(|_| devices.robot_fresh);
         fresh.is_some_and(|robot| {
             robot.stands_still()
-                && outside.arm_settled
+                && devices.arm_settled
                 && (self.stands || robot.runtime_state == RuntimeState::Stopped)
         })
     }
 
     /// A stop was ordered and is not confirmed.
-    pub(crate) fn stopping(&self, outside: &DeviceSnapshot) -> bool {
-        !self.until_it_stands.is_empty() || !self.stands || !outside.arm_settled
+    pub(crate) fn stopping(&self, devices: &DeviceSnapshot) -> bool {
+        !self.until_it_stands.is_empty() || !self.stands || !devices.arm_settled
     }
 
     /// The daemon ends: who still waits for an answer gets what is known.
-    pub(crate) fn answer_at_the_end(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
-        let stands = self.arm_stands(outside);
-        let fresh = outside.robot.filter(|_| outside.robot_fresh);
+    pub(crate) fn answer_at_the_end(&mut self, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
+        let stands = self.arm_stands(devices);
+        let fresh = devices.robot.filter(|_| devices.robot_fresh);
         for waits in std::mem::take(&mut self.until_it_stands) {
             let reply = match waits.then {
-                Then::Say => stopped(stands, fresh, outside.arm_settled),
+                Then::Say => stopped(stands, fresh, devices.arm_settled),
                 Then::Release(_) => Reply::refuse("not released: celld ends"),
             };
             out.push(Action::Reply { number: waits.number, reply });

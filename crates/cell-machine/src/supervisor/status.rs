@@ -1,4 +1,4 @@
-//! How the cell looks from outside: for the status file, a page, the demo's progress.
+//! How the cell looks for others: for the status file, a page, the demo's progress.
 //!
 //! In: the supervisor's state. Out: [`Status`], in values that programs compare and in words for people.
 

@@ -228,7 +228,7 @@ impl Bench {
     }
 
     /// What is known of the devices, with the robot as given.
-    fn outside<'a>(&self, robot: &'a RobotState) -> DeviceSnapshot<'a> {
+    fn devices<'a>(&self, robot: &'a RobotState) -> DeviceSnapshot<'a> {
         DeviceSnapshot {
             link_down: self.link_down,
             link_lost: self.link_down,
@@ -246,8 +246,8 @@ impl Bench {
     fn feed_once(&mut self, input: Input) -> Vec<Action> {
         self.now += Duration::from_millis(20);
         let robot = self.robot.clone();
-        let outside = self.outside(&robot);
-        let actions = self.cell.step(self.now, &outside, input);
+        let devices = self.devices(&robot);
+        let actions = self.cell.step(self.now, &devices, input);
         for action in &actions {
             if let Action::Robot(RobotCommand::StartProgram { nonce }) = action {
                 self.robot.nonce = nonce.number();
@@ -371,8 +371,8 @@ fn a_disarmed_cell_takes_jobs_and_moves_nothing() {
 fn intent_under_way() -> (Bench, u64) {
     let mut bench = Bench::new();
     bench.job(false);
-    let asked = bench.until_planning();
-    assert!(asked.iter().any(|action| matches!(action, Action::Plan(_))), "{asked:?}");
+    let requested = bench.until_planning();
+    assert!(requested.iter().any(|action| matches!(action, Action::Plan(_))), "{requested:?}");
     bench.slow_disk = true;
     let mut all = bench.plan();
     all.extend(bench.ticks(20));
@@ -559,8 +559,8 @@ fn keep_out_regions_of_the_cell_reach_the_planner() {
     let mut bench = Bench::new();
     bench.cell = Supervisor::new(CellModel { keep_out: vec![region.clone()], ..model() }, 7);
     bench.job(false);
-    let asked = bench.until_planning();
-    let request = asked.iter().find_map(|action| match action {
+    let requested = bench.until_planning();
+    let request = requested.iter().find_map(|action| match action {
         Action::Plan(request) => Some(request),
         _ => None,
     });

@@ -11,11 +11,11 @@ use cell_values::time::Duration;
 
 impl Supervisor {
     /// Attributes the time since the last decision.
-    pub(crate) fn book_time(&mut self, outside: &DeviceSnapshot, passed: Duration) {
+    pub(crate) fn book_time(&mut self, devices: &DeviceSnapshot, passed: Duration) {
         if self.job.is_none() {
             return;
         }
-        let moves = outside.robot.is_some_and(|robot| !robot.stands_still());
+        let moves = devices.robot.is_some_and(|robot| !robot.stands_still());
         let (what, is_round) = self.use_of_time(moves);
         self.times.spend(what, is_round, passed.as_secs_f64());
     }

@@ -154,8 +154,8 @@ impl Supervisor {
         Ok(Leg::between(segment, here.translation.vector.z - 1e-3).holding(self.hold()))
     }
 
-    pub(crate) fn begin_park(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
-        let Some(robot) = outside.robot else { return };
+    pub(crate) fn begin_park(&mut self, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
+        let Some(robot) = devices.robot else { return };
         match self.transfer_to(&robot.q, self.model.park) {
             Ok(path) => {
                 out.push(Action::Robot(RobotCommand::Stream(path)));

@@ -34,14 +34,14 @@ impl Supervisor {
     pub(crate) fn on_round(
         &mut self,
         now: Timestamp,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         order: RoundOrder,
         out: &mut Vec<Action>,
     ) {
         self.waiting_since = now;
         let way_back = self.back.recovery.is_some().then_some("a way back is under way");
-        let why = self.under_way(outside).or(way_back).map(str::to_string);
-        let why = why.or_else(|| self.round_gate(outside));
+        let why = self.under_way(devices).or(way_back).map(str::to_string);
+        let why = why.or_else(|| self.round_gate(devices));
         let why = why.or_else(|| {
             (!self.mode.arm()).then(|| match &self.mode {
                 Mode::Locked(reason) => reason.clone(),
@@ -57,7 +57,7 @@ impl Supervisor {
     }
 
     /// A person orders a round to the taught poses, in a cell that is armed already.
-    pub(crate) fn on_calibrate(&mut self, now: Timestamp, outside: &DeviceSnapshot) -> Option<Reply> {
+    pub(crate) fn on_calibrate(&mut self, now: Timestamp, devices: &DeviceSnapshot) -> Option<Reply> {
         let no = |why: String| Some(Reply::refuse(format!("no calibration round: {why}")));
         let order = self.model.round.clone();
         if order.poses.is_empty() {
@@ -70,18 +70,18 @@ impl Supervisor {
             return no(format!("job {} is under way; let it end, or cancel it", job.order.id));
         }
         if !self.mode.armed() {
-            return Some(self.not_armed(outside, "no calibration round"));
+            return Some(self.not_armed(devices, "no calibration round"));
         }
         if self.mode.paused() {
             return no("the cell is paused; `celld resume` first".to_string());
         }
-        if let Some(why) = self.under_way(outside) {
+        if let Some(why) = self.under_way(devices) {
             return no(format!("{why}; try again"));
         }
         if !matches!(self.phase, Phase::Ready) || self.back.recovery.is_some() || self.mode.parks() {
             return no("the arm is under way; wait until it rests".to_string());
         }
-        if let Err(closed) = gates::empty_handed(outside) {
+        if let Err(closed) = gates::empty_handed(devices) {
             return no(format!("{}; {}", self.place(&closed), closed.hint()));
         }
         self.waiting_since = now;
@@ -103,14 +103,14 @@ impl Supervisor {
     }
 
     /// What keeps the cell from being armed for a round, and what to do about it.
-    fn round_gate(&self, outside: &DeviceSnapshot) -> Option<String> {
-        let closed = gates::arming_for_round(outside).err()?;
+    fn round_gate(&self, devices: &DeviceSnapshot) -> Option<String> {
+        let closed = gates::arming_for_round(devices).err()?;
         Some(format!("{}; {}", self.place(&closed), closed.hint_to_try_again()))
     }
 
     /// Sends the arm to the next pose; after the last one the round is over.
-    pub(crate) fn begin_visit(&mut self, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
-        let (Some(round), Some(robot)) = (&self.round, outside.robot) else { return };
+    pub(crate) fn begin_visit(&mut self, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
+        let (Some(round), Some(robot)) = (&self.round, devices.robot) else { return };
         let Some(target) = round.order.poses.get(round.at).copied() else {
             return self.end_round(Ok(()), out);
         };
@@ -126,9 +126,9 @@ impl Supervisor {
     }
 
     /// While settling: requests the picture once the arm has been at rest long enough.
-    pub(crate) fn watch_visit(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
+    pub(crate) fn watch_visit(&mut self, now: Timestamp, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
         let Phase::Visit(Visit::Settling { still_since }) = &mut self.phase else { return };
-        let Some(robot) = outside.robot.filter(|_| outside.robot_fresh) else { return };
+        let Some(robot) = devices.robot.filter(|_| devices.robot_fresh) else { return };
         if robot.qd.iter().any(|speed| speed.abs() > STILL_RAD_S) {
             *still_since = None;
             return;

@@ -36,12 +36,12 @@ impl Supervisor {
     pub(crate) fn begin_pick_n_place(
         &mut self,
         now: Timestamp,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         out: &mut Vec<Action>,
     ) {
-        let (Some(job), Some(robot)) = (&self.job, outside.robot) else { return };
+        let (Some(job), Some(robot)) = (&self.job, devices.robot) else { return };
         if let Err(closed) =
-            gates::manipulate(self.mode.armed(), outside, self.nonce, self.is_seen(), job.approved)
+            gates::manipulate(self.mode.armed(), devices, self.nonce, self.is_seen(), job.approved)
         {
             return self.wait(now, closed, out);
         }
@@ -74,7 +74,7 @@ impl Supervisor {
         let work = Work { object, from: next.from, held, paths, stage, over: false, then: None };
         self.enter(Phase::Work(Box::new(work)), self.model.tolerances.phase_deadline);
         if meant.on_disk {
-            self.begin_approach(now, outside, out);
+            self.begin_approach(now, devices, out);
         }
     }
 
@@ -164,7 +164,7 @@ impl Supervisor {
     pub(crate) fn work_noted(
         &mut self,
         now: Timestamp,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         number: u64,
         out: &mut Vec<Action>,
     ) {
@@ -173,15 +173,15 @@ impl Supervisor {
         }
         let Phase::Work(work) = &self.phase else { return };
         if work.stage == WorkStage::NotingIntent(number) {
-            self.begin_approach(now, outside, out);
+            self.begin_approach(now, devices, out);
         }
     }
 
     /// The intent is on disk. Writing it took time: every gate is looked at again before the arm moves.
-    fn begin_approach(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
+    fn begin_approach(&mut self, now: Timestamp, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
         let approved = self.job.as_ref().is_some_and(|job| job.approved);
         let (armed, observed) = (self.mode.armed(), self.is_seen());
-        if let Err(closed) = gates::manipulate(armed, outside, self.nonce, observed, approved) {
+        if let Err(closed) = gates::manipulate(armed, devices, self.nonce, observed, approved) {
             self.not_begun(now, out);
             return self.wait(now, closed, out);
         }
@@ -288,7 +288,7 @@ impl Supervisor {
     pub(crate) fn work_gripper(
         &mut self,
         now: Timestamp,
-        outside: &DeviceSnapshot,
+        devices: &DeviceSnapshot,
         event: GripperEvent,
         out: &mut Vec<Action>,
     ) {
@@ -313,7 +313,7 @@ impl Supervisor {
             (WorkStage::Releasing, GripperEvent::Released) => {
                 self.commit(now, Record::Released { step }, out);
                 self.set_payload(0.0, out);
-                self.retreat(now, outside, out);
+                self.retreat(now, devices, out);
             }
             (WorkStage::GivingUp, GripperEvent::Released) => {
                 work.stage = WorkStage::Withdrawing;
@@ -338,21 +338,21 @@ impl Supervisor {
     }
 
     /// The object is released: straight up, and where the job goes on, to the next look without a stop.
-    fn retreat(&mut self, now: Timestamp, outside: &DeviceSnapshot, out: &mut Vec<Action>) {
+    fn retreat(&mut self, now: Timestamp, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
         let Phase::Work(work) = &mut self.phase else { return };
         work.stage = WorkStage::Retreating;
         let (object, to, up) = (work.object.clone(), work.held.to, work.paths.retreat.clone());
         self.disturb(&object, &to);
         self.back.table.retain(|(id, _)| *id != object);
         self.back.table.push((object, to));
-        let path = self.goes_on(outside).then(|| self.on_to_look(now, &up.start(), &up.end(), out)).flatten();
+        let path = self.goes_on(devices).then(|| self.on_to_look(now, &up.start(), &up.end(), out)).flatten();
         out.push(Action::Robot(RobotCommand::Stream(path.unwrap_or(up))));
     }
 
     /// Nothing keeps the arm from going on with the job.
-    fn goes_on(&self, outside: &DeviceSnapshot) -> bool {
+    fn goes_on(&self, devices: &DeviceSnapshot) -> bool {
         let job = self.job.as_ref().is_some_and(|job| !job.cancel && job.approved);
-        let open = gates::any_motion(self.mode.armed(), outside, self.nonce).is_ok();
+        let open = gates::any_motion(self.mode.armed(), devices, self.nonce).is_ok();
         job && open && self.mode.runs() && self.back.weak.is_none()
     }
 

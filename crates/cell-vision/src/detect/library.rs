@@ -1,4 +1,4 @@
-//! The AprilTag C library: one detector of it, searching in the way that is asked for at the moment.
+//! The AprilTag C library: one detector of it, searching in the way that is wanted at the moment.
 //!
 //! In: families, a [`Way`], a picture on a grey curve. Out: what the library read, in our conventions: half
 //! a pixel taken off every corner, because the library puts the centre of the first pixel at (0.5, 0.5).

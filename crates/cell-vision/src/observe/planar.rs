@@ -248,9 +248,9 @@ mod tests {
         let mean = |prior_m, prior_rad| {
             (0..200).map(|seed| normalised_off(prior_m, prior_rad, seed)).sum::<f64>() / 200.0
         };
-        let (reported, untold) = (mean(2e-4, 0.01), mean(0.0, 0.0));
+        let (reported, unstated) = (mean(2e-4, 0.01), mean(0.0, 0.0));
         assert!((reported - 3.0).abs() < 0.6, "{reported}");
-        assert!(untold > 6.0, "a degree of tilt seen from the side is no small thing: {untold}");
+        assert!(unstated > 6.0, "a degree of tilt seen from the side is no small thing: {unstated}");
     }
 
     #[test]

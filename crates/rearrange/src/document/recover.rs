@@ -109,7 +109,7 @@ impl Pieces<'_> {
         Some(Node { at: head.at(), value })
     }
 
-    /// A list item. Its fields are not told apart: who reads it would miss those that it lost.
+    /// A list item. Its fields are not kept apart: who reads it would miss those that it lost.
     fn item(&mut self, piece: &[Line]) -> Option<Node> {
         let at = piece.first()?.at();
         let unread = Node { at, value: Value::Unread };
@@ -141,7 +141,7 @@ impl Pieces<'_> {
                 Value::Unread
             }
             Err(complaints) => {
-                // What is inside is told apart where the key has a line to itself.
+                // What is inside is kept apart where the key has a line to itself.
                 let alone = head.content().ends_with(':');
                 let inside = piece.get(1..).filter(|_| alone).and_then(|rest| self.block(rest, cuts - 1));
                 if inside.is_none() {

@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn the_stop_function_is_asked() {
+    fn the_stop_function_is_requested() {
         let mut effort = Effort::new(None, &|| true);
         assert!(!effort.step());
     }

@@ -96,7 +96,7 @@ pub struct Core {
     /// The conveyor that is tracked.
     pub(super) conveyor: Option<Conveyor>,
     /// Error code and reason of a protective stop that this frame ends with.
-    pub(super) stop_asked: Option<(i32, String)>,
+    pub(super) stop_requested: Option<(i32, String)>,
 }
 
 impl Core {
@@ -134,7 +134,7 @@ impl Core {
             watchdogs: Vec::new(),
             intrusion_m: 0.0,
             conveyor: None,
-            stop_asked: None,
+            stop_requested: None,
             config,
             secondary: false,
         };

@@ -324,7 +324,7 @@ fn messages(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
         }),
         "protective_stop" => {
             let reason = "protective stop by the program".to_owned();
-            core.stop_asked = Some((STOP_BY_PROGRAM_CODE, reason));
+            core.stop_requested = Some((STOP_BY_PROGRAM_CODE, reason));
             Ok(())
         }
         "powerdown" => {

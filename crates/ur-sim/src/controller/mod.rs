@@ -128,7 +128,7 @@ impl Controller {
         self.core.step += 1;
         self.core.modes.advance();
         self.programs.run(&mut self.core);
-        if let Some((code, reason)) = self.core.stop_asked.take() {
+        if let Some((code, reason)) = self.core.stop_requested.take() {
             self.stop_with((code, 0), &reason);
         }
         self.core.sockets.flush();

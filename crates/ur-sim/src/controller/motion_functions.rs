@@ -125,7 +125,7 @@ fn take_arm(core: &mut Core, call: &Call<'_>) -> Result<(), String> {
 
 /// Turns what the arm cannot do into a protective stop; the program waits and is paused by it.
 fn or_stop<T>(core: &mut Core, result: Result<T, MotionFault>) -> Option<T> {
-    result.map_err(|fault| core.stop_asked = Some((PATH_SANITY_CODE, fault.to_string()))).ok()
+    result.map_err(|fault| core.stop_requested = Some((PATH_SANITY_CODE, fault.to_string()))).ok()
 }
 
 fn start_move(core: &mut Core, call: &mut Call<'_>) -> Result<Reply, String> {

@@ -21,8 +21,8 @@ pub fn call(core: &mut Core, call: &Call<'_>) -> Option<Result<Reply, String>> {
         "path_offset_enable" => enable(core),
         "path_offset_set" => set(core, call),
         "path_offset_get" => {
-            let told = frame(call, 0).map(|frame| core.mover.applied_offset(frame));
-            return Some(told.map(|offset| Reply::Value(Value::Pose(offset))));
+            let offset = frame(call, 0).map(|frame| core.mover.applied_offset(frame));
+            return Some(offset.map(|offset| Reply::Value(Value::Pose(offset))));
         }
         "path_offset_set_max_offset" => limit(core, call),
         "path_offset_set_alpha_filter" => filter(core, call),

@@ -111,7 +111,7 @@ impl Programs {
     /// Ends the main program with a runtime exception where it is (a fault); false if there is none.
     pub fn fail(&mut self, core: &mut Core) -> bool {
         if let Run::Playing(program) | Run::Paused { program, .. } = &self.run {
-            let (at, message) = (program.position(), "runtime exception by the fault desk".to_owned());
+            let (at, message) = (program.position(), "runtime exception by the fault injector".to_owned());
             core.message(exception_message(&RuntimeException { at, message }));
         }
         self.stop(core)

@@ -49,7 +49,7 @@ mod tests {
     #[test]
     fn a_program_waits_for_values_of_the_type_it_wants() {
         let mut controller = running(
-            "def ask():\n b = request_boolean_from_primary_client(\"Go?\")\n i = \
+            "def request():\n b = request_boolean_from_primary_client(\"Go?\")\n i = \
              request_integer_from_primary_client(\"How many?\")\n f = request_float_from_primary_client(\"How \
              far?\")\n s = request_string_from_primary_client(\"Who?\")\n textmsg([b, i, f, s])\nend\n",
         );
@@ -85,7 +85,7 @@ mod tests {
     #[test]
     fn one_request_is_shown_at_a_time_and_goes_with_its_thread_or_program() {
         let mut controller = running(
-            "def ask():\n thread other():\n  textmsg(request_integer_from_primary_client(\"b\"))\n end\n h = run \
+            "def request():\n thread other():\n  textmsg(request_integer_from_primary_client(\"b\"))\n end\n h = run \
              other()\n sync()\n textmsg(request_integer_from_primary_client(\"a\"))\n join h\nend\n",
         );
         for answer in ["b", "a"] {
@@ -99,7 +99,7 @@ mod tests {
         programs.stop(core);
         assert!(core.requests.shown().is_none(), "the program has gone");
         let mut controller = running(
-            "def ask():\n thread other():\n  request_integer_from_primary_client(\"b\")\n end\n h = run \
+            "def request():\n thread other():\n  request_integer_from_primary_client(\"b\")\n end\n h = run \
              other()\n sleep(0.004)\n kill h\n request_integer_from_primary_client(\"a\")\nend\n",
         );
         (0..10).for_each(|_| controller.frame());
@@ -109,7 +109,7 @@ mod tests {
     #[test]
     fn a_thread_that_goes_before_its_request_is_shown_leaves_the_other_one() {
         let controller = running(
-            "def ask():\n thread first():\n  request_integer_from_primary_client(\"a\")\n end\n thread \
+            "def request():\n thread first():\n  request_integer_from_primary_client(\"a\")\n end\n thread \
              second():\n  request_integer_from_primary_client(\"b\")\n end\n run first()\n h = run \
              second()\n sleep(0.004)\n kill h\n sleep(9)\nend\n",
         );

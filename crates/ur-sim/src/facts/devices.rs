@@ -33,7 +33,7 @@ pub fn section() -> Section {
 fn request(cell: &mut Cell, pdu: &[u8]) -> Vec<u8> {
     let Some((id, _)) = cell.connect(Port::Gripper) else { return Vec::new() };
     let length = u8::try_from(pdu.len() + 1).unwrap_or(u8::MAX);
-    cell.ask(id, &[&[0, 1, 0, 0, 0, length, 65], pdu].concat())
+    cell.request(id, &[&[0, 1, 0, 0, 0, length, 65], pdu].concat())
 }
 
 fn commanded(word: u16) -> String {

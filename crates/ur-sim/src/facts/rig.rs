@@ -151,7 +151,7 @@ impl Cell {
     }
 
     /// What a request is answered.
-    pub fn ask(&mut self, id: ConnectionId, request: &[u8]) -> Vec<u8> {
+    pub fn request(&mut self, id: ConnectionId, request: &[u8]) -> Vec<u8> {
         self.simulator.receive(id, request);
         self.sent(id)
     }
@@ -173,7 +173,7 @@ impl Cell {
         let answers: Vec<String> = lines
             .iter()
             .map(|line| {
-                String::from_utf8_lossy(&self.ask(id, format!("{line}\n").as_bytes())).trim().to_owned()
+                String::from_utf8_lossy(&self.request(id, format!("{line}\n").as_bytes())).trim().to_owned()
             })
             .collect();
         self.simulator.hang_up(id);

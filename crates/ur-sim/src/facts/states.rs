@@ -282,7 +282,7 @@ fn read_only() -> Fact {
         cell.simulator.core().robot.controller().core.modes.set_remote(false);
         let Some((id, _)) = cell.connect(Port::Primary) else { return f64::NAN };
         let mut splitter = ur_wire::primary::Splitter::default();
-        splitter.push(&cell.ask(id, b"textmsg(1)\n"));
+        splitter.push(&cell.request(id, b"textmsg(1)\n"));
         cell.wait(0.2);
         splitter.push(&cell.sent(id));
         let codes =

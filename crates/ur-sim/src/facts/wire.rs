@@ -16,18 +16,18 @@ fn package(kind: char, payload: &[u8]) -> Vec<u8> {
 fn second_version() -> Option<(Cell, ConnectionId)> {
     let mut cell = Cell::ordinary(true)?;
     let (id, _) = cell.connect(Port::Rtde)?;
-    cell.ask(id, &package('V', &[0, 2]));
+    cell.request(id, &package('V', &[0, 2]));
     Some((cell, id))
 }
 
 /// What a package is answered in version 2, as text.
-fn asked(kind: char, payload: &[u8]) -> Vec<u8> {
-    second_version().map(|(mut cell, id)| cell.ask(id, &package(kind, payload))).unwrap_or_default()
+fn requested(kind: char, payload: &[u8]) -> Vec<u8> {
+    second_version().map(|(mut cell, id)| cell.request(id, &package(kind, payload))).unwrap_or_default()
 }
 
 /// A recipe's answer: identity and types.
 fn recipe(kind: char, payload: &[u8]) -> String {
-    let answer = asked(kind, payload);
+    let answer = requested(kind, payload);
     let id = answer.get(3).map_or_else(|| "no recipe".to_owned(), u8::to_string);
     format!("{id} {}", String::from_utf8_lossy(answer.get(4..).unwrap_or_default()))
 }
@@ -45,8 +45,8 @@ pub fn rtde() -> Section {
         text("`V`, version 2 (00 05 56 00 02)", PYTHON, "00 04 56 01", hex(&first(&package('V', &[0, 2])))),
         text("`V`, version 3", PYTHON, "00 04 56 00", hex(&first(&package('V', &[0, 3])))),
         text("`S`", PYTHON, "00 04 53 01", started()),
-        text("`P`", PYTHON, "00 04 50 01", hex(&asked('P', &[]))),
-        number("`v`: bytes of four numbers of 32 bit and the header", PYTHON, figures(&[19.0], 0.0, "bytes"), asked('v', &[]).len() as f64),
+        text("`P`", PYTHON, "00 04 50 01", hex(&requested('P', &[]))),
+        number("`v`: bytes of four numbers of 32 bit and the header", PYTHON, figures(&[19.0], 0.0, "bytes"), requested('v', &[]).len() as f64),
         text(
             "`O`: types of ten variables",
             RTDE,
@@ -70,31 +70,31 @@ pub fn rtde() -> Section {
 fn first(request: &[u8]) -> Vec<u8> {
     let Some(mut cell) = Cell::ordinary(true) else { return Vec::new() };
     let Some((id, _)) = cell.connect(Port::Rtde) else { return Vec::new() };
-    cell.ask(id, request)
+    cell.request(id, request)
 }
 
 fn started() -> String {
     let answer = second_version().map(|(mut cell, id)| {
-        cell.ask(id, &package('O', &outputs("timestamp")));
-        cell.ask(id, &package('S', &[]))
+        cell.request(id, &package('O', &outputs("timestamp")));
+        cell.request(id, &package('S', &[]))
     });
     hex(answer.unwrap_or_default().get(..4).unwrap_or_default())
 }
 
 fn claimed() -> String {
     let answer = second_version().and_then(|(mut cell, id)| {
-        cell.ask(id, &package('I', b"input_int_register_24"));
+        cell.request(id, &package('I', b"input_int_register_24"));
         let (other, _) = cell.connect(Port::Rtde)?;
-        cell.ask(other, &package('V', &[0, 2]));
-        Some(cell.ask(other, &package('I', b"input_int_register_24")))
+        cell.request(other, &package('V', &[0, 2]));
+        Some(cell.request(other, &package('I', b"input_int_register_24")))
     });
     String::from_utf8_lossy(answer.unwrap_or_default().get(4..).unwrap_or_default()).into_owned()
 }
 
 fn rate(frequency: f64) -> f64 {
     let count = second_version().map(|(mut cell, id)| {
-        cell.ask(id, &package('O', &[&frequency.to_be_bytes()[..], b"timestamp"].concat()));
-        cell.ask(id, &package('S', &[]));
+        cell.request(id, &package('O', &[&frequency.to_be_bytes()[..], b"timestamp"].concat()));
+        cell.request(id, &package('S', &[]));
         // Over four seconds, as a rate may not fit into one. A package: header, recipe, 8 bytes.
         cell.wait(4.0);
         cell.sent(id).len() as f64 / 12.0 / 4.0
@@ -104,11 +104,11 @@ fn rate(frequency: f64) -> f64 {
 
 fn read_back() -> f64 {
     let value = second_version().and_then(|(mut cell, id)| {
-        cell.ask(id, &package('I', b"input_int_register_24"));
-        cell.ask(id, &package('O', &[&500f64.to_be_bytes()[..], b"input_int_register_24"].concat()));
-        cell.ask(id, &package('S', &[]));
+        cell.request(id, &package('I', b"input_int_register_24"));
+        cell.request(id, &package('O', &[&500f64.to_be_bytes()[..], b"input_int_register_24"].concat()));
+        cell.request(id, &package('S', &[]));
         cell.wait(0.002);
-        cell.ask(id, &package('U', &[1, 0, 0, 0, 7]));
+        cell.request(id, &package('U', &[1, 0, 0, 0, 7]));
         cell.wait(0.002);
         cell.sent(id).last().copied()
     });
@@ -275,7 +275,7 @@ fn controller_modbus() -> Fact {
     let answer = Cell::ordinary(true).and_then(|mut cell| {
         let (id, _) = cell.connect(Port::Modbus)?;
         // Registers 256 to 258: version, and robot mode 7.
-        let bytes = cell.ask(id, &[0, 1, 0, 0, 0, 6, 255, 3, 1, 0, 0, 3]);
+        let bytes = cell.request(id, &[0, 1, 0, 0, 0, 6, 255, 3, 1, 0, 0, 3]);
         Some(
             bytes
                 .get(9..)?

@@ -1,10 +1,10 @@
-//! The desk where faults are ordered: it brings them about when they are due and ends them when their time
+//! Faults are ordered here: the injector brings them about when they are due and ends them when their time
 //! is over.
 //!
 //! In: plans from a file or a post, and one call of [`FaultInjector::frame`] per frame from the thread that
 //! keeps the time. Out: changes to controller, world and links. What camera, vacuum and links suffer follows
 //! from the list of faults in force, so that ending one never ends another. Locks are taken one at a time
-//! after the desk's own, and never the other way round.
+//! after its own, and never the other way round.
 
 use crate::controller::Controller;
 use crate::controller::builtins::compile_program;
@@ -349,7 +349,7 @@ fn begin(controller: &mut Controller, fault: &RobotFault) -> Result<(), FaultErr
     let possible = |done: bool, error: FaultError| if done { Ok(()) } else { Err(error) };
     match fault {
         RobotFault::ProtectiveStop => {
-            controller.protective_stop("protective stop by the fault desk");
+            controller.protective_stop("protective stop by the fault injector");
             return possible(controller.core.modes.protective_stopped(), FaultError::NotNow);
         }
         RobotFault::EmergencyStop => controller.emergency_stop(true),

@@ -2,7 +2,7 @@
 //!
 //! In: what the faults in force make of a server's connections ([`Link::set`], [`Link::reset`]). Out: a
 //! [`LinkState`] that can be read and waited for. Who carries the bytes acts on it: `serve` on real
-//! sockets, a simulated network in virtual time. Times in a [`LinkState`] are wall time: the desk has
+//! sockets, a simulated network in virtual time. Times in a [`LinkState`] are wall time: the injector has
 //! divided them by the time factor.
 
 use std::sync::Arc;

@@ -2,9 +2,9 @@
 //!
 //! In: a fault file or a posted text ([`read`]), the state of the world and of the arm in each frame. Out:
 //! plans ([`Planned`]), the faults that are due ([`schedule`]), and their effect on controller, world,
-//! pictures and connections ([`injector`], [`link`]). Reading and scheduling are pure; only the desk and the
-//! links touch what is shared. Nothing happens unless a file or a post requests it. The table of all faults
-//! is docs/faults.md.
+//! pictures and connections ([`injector`], [`link`]). Reading and scheduling are pure; only the injector
+//! and the links touch what is shared. Nothing happens unless a file or a post requests it. The table of
+//! all faults is docs/faults.md.
 
 pub mod camera;
 pub mod injector;

@@ -2,7 +2,7 @@
 //!
 //! In: YAML or JSON: `faults:` with a list, or (posted) one fault by itself. Out: [`Planned`]s, or every
 //! complaint with line and column: faults, arguments and triggers that do not exist, numbers out of range.
-//! Whether an object or a marker exists is not known here; the desk checks that.
+//! Whether an object or a marker exists is not known here; the injector checks that.
 
 use crate::faults::link::LinkName;
 use crate::faults::{

@@ -99,12 +99,12 @@ async fn bench(faults: &str) -> Bench {
 impl Bench {
     #[track_caller]
     fn fault(&self, text: &str) {
-        self.sim.desk().submit(read_posted(text).unwrap()).unwrap();
+        self.sim.injector().submit(read_posted(text).unwrap()).unwrap();
     }
 
     /// What posting gives when it is refused.
     fn refusal(&self, text: &str) -> FaultError {
-        self.sim.desk().submit(read_posted(text).unwrap()).unwrap_err()
+        self.sim.injector().submit(read_posted(text).unwrap()).unwrap_err()
     }
 
     async fn until(&self, what: &str, mut ready: impl FnMut(&RunningSim) -> bool) {
@@ -121,8 +121,8 @@ impl Bench {
         stream
     }
 
-    async fn ask(&self, question: &str) -> String {
-        ask(&mut self.dashboard().await, question).await
+    async fn request(&self, question: &str) -> String {
+        request(&mut self.dashboard().await, question).await
     }
 
     async fn upload(&self, script: &str) -> TcpStream {
@@ -144,7 +144,7 @@ impl Bench {
     }
 }
 
-async fn ask(stream: &mut TcpStream, question: &str) -> String {
+async fn request(stream: &mut TcpStream, question: &str) -> String {
     stream.write_all(format!("{question}\n").as_bytes()).await.unwrap();
     tokio::time::timeout(PATIENCE, line(stream)).await.unwrap()
 }

@@ -179,9 +179,9 @@ mod tests {
                 let wish = OffsetWish { offset, frame, ..Default::default() };
                 applied.advance(&wish, &down(), &(Translation3::from(Vector3::from(way)) * down()));
                 for other in [OffsetFrame::Base, OffsetFrame::Tool, OffsetFrame::Motion, OffsetFrame::World] {
-                    let told = applied.relative_to(other, &down());
+                    let applied_pose = applied.relative_to(other, &down());
                     let mut same = applied.clone();
-                    (same.applied, same.wish.frame) = (told, other);
+                    (same.applied, same.wish.frame) = (applied_pose, other);
                     let (a, b) = (applied.place(&down()), same.place(&down()));
                     prop_assert!((a.translation.vector - b.translation.vector).norm() < 1e-9);
                     prop_assert!(a.rotation.angle_to(&b.rotation) < 1e-7);

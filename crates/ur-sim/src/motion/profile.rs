@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn a_duration_can_be_asked_for() {
+    fn a_duration_can_be_requested() {
         let profile = Profile::new(&shape(1.0, 1.0, 1.0)).lasting(5.0);
         assert!((profile.duration() - 5.0).abs() < 1e-12);
         assert!((profile.fraction(2.5) - 0.5).abs() < 1e-12);

@@ -225,8 +225,8 @@ fn within_joints(length: f64, limits: &MoveLimits, blend: f64, lead: f64, quicke
         return wanted;
     }
     let natural = profile(length, &MoveLimits { seconds: 0.0, ..*limits }, blend, lead).duration();
-    let (asked, possible) = (wanted.duration(), wanted.duration() * too_fast);
-    wanted.lasting(possible.min(natural.max(asked)))
+    let (requested, possible) = (wanted.duration(), wanted.duration() * too_fast);
+    wanted.lasting(possible.min(natural.max(requested)))
 }
 
 /// Follows a way of the tool to its end in coarse steps: its last joint positions, and the shortest time (s)

@@ -47,7 +47,7 @@ pub struct Reply {
 }
 
 impl Reply {
-    /// What was asked for.
+    /// What was requested.
     pub fn of(body: Value) -> Reply {
         Reply { status: 200, body, location: None, file: None }
     }

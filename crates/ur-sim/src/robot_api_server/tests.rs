@@ -121,8 +121,8 @@ async fn a_controller_that_boots_answers_no_request() {
     let link = bench.core.robot.links.get(LinkName::Dashboard);
     link.set(crate::faults::link::LinkState { down: true, ..Default::default() });
     let url = format!("http://{}{STATE}", bench.at);
-    let asked = tokio::task::spawn_blocking(move || ureq::get(&url).call().is_err());
-    assert!(asked.await.unwrap());
+    let requested = tokio::task::spawn_blocking(move || ureq::get(&url).call().is_err());
+    assert!(requested.await.unwrap());
     link.set(Default::default());
     assert_eq!(put(bench.at, STATE, br#"{"action": "POWER_OFF"}"#.to_vec()).await.0, 200);
 }

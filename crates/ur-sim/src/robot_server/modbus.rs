@@ -95,7 +95,7 @@ mod tests {
     }
 
     /// The answer to a request without its header.
-    fn ask(shared: &RobotShared, pdu: &[u8]) -> Vec<u8> {
+    fn answer_to(shared: &RobotShared, pdu: &[u8]) -> Vec<u8> {
         let mut bytes = vec![0, 9, 0, 0, 0, pdu.len() as u8 + 1, 255];
         bytes.extend(pdu);
         let answer = Session::default().receive(shared, &bytes).unwrap();
@@ -105,7 +105,7 @@ mod tests {
 
     fn register(shared: &RobotShared, address: u16) -> u16 {
         let [high, low] = address.to_be_bytes();
-        let answer = ask(shared, &[3, high, low, 0, 1]);
+        let answer = answer_to(shared, &[3, high, low, 0, 1]);
         assert_eq!(answer[..2], [3, 2], "{address}");
         u16::from_be_bytes([answer[2], answer[3]])
     }
@@ -113,26 +113,26 @@ mod tests {
     #[test]
     fn outputs_are_written_by_register_by_mask_and_by_coil() {
         let shared = shared();
-        assert_eq!(ask(&shared, &[6, 0, 1, 0x01, 0x0f]), [6, 0, 1, 0x01, 0x0f]);
+        assert_eq!(answer_to(&shared, &[6, 0, 1, 0x01, 0x0f]), [6, 0, 1, 0x01, 0x0f]);
         assert_eq!(shared.controller().core.registers.digital_outputs, 1 << 16 | 0xf);
-        ask(&shared, &[6, 0, 3, 0, 0x03]);
-        ask(&shared, &[6, 0, 2, 0, 0x80]);
+        answer_to(&shared, &[6, 0, 3, 0, 0x03]);
+        answer_to(&shared, &[6, 0, 2, 0, 0x80]);
         assert_eq!((register(&shared, 1), register(&shared, 22)), (0x18c, 1));
         // Coils 16 to 18 off, on, on; 136 on: the first configurable output.
-        assert_eq!(ask(&shared, &[15, 0, 16, 0, 3, 1, 0b110]), [15, 0, 16, 0, 3]);
-        ask(&shared, &[5, 0, 136, 0xff, 0]);
+        assert_eq!(answer_to(&shared, &[15, 0, 16, 0, 3, 1, 0b110]), [15, 0, 16, 0, 3]);
+        answer_to(&shared, &[5, 0, 136, 0xff, 0]);
         assert_eq!((register(&shared, 1), register(&shared, 31)), (0x18e, 1));
-        assert_eq!(ask(&shared, &[1, 0, 16, 0, 10]), [1, 2, 0x8e, 0x01]);
+        assert_eq!(answer_to(&shared, &[1, 0, 16, 0, 10]), [1, 2, 0x8e, 0x01]);
         shared.controller().core.registers.digital_inputs = 0b1_0000_0010;
-        assert_eq!(ask(&shared, &[2, 0, 0, 0, 8]), [2, 1, 0b10]);
+        assert_eq!(answer_to(&shared, &[2, 0, 0, 0, 8]), [2, 1, 0b10]);
         assert_eq!((register(&shared, 0), register(&shared, 30)), (2, 1));
     }
 
     #[test]
     fn registers_are_shared_with_scripts() {
         let shared = shared();
-        ask(&shared, &[16, 0, 128, 0, 2, 4, 0xff, 0xfe, 0, 7]);
-        ask(&shared, &[5, 1, 44, 0xff, 0]);
+        answer_to(&shared, &[16, 0, 128, 0, 2, 4, 0xff, 0xfe, 0, 7]);
+        answer_to(&shared, &[5, 1, 44, 0xff, 0]);
         let script = "def p():\n textmsg(read_port_register(128), read_port_register(129))\n \
                       textmsg(read_port_bit(300))\n write_port_register(130, 300)\n write_port_bit(17, \
                       True)\n write_output_boolean_register(3, True)\nend\n";
@@ -143,7 +143,7 @@ mod tests {
         drop(controller);
         assert_eq!(register(&shared, 130), 300);
         assert_eq!(register(&shared, 1), 2);
-        assert_eq!(ask(&shared, &[1, 1, 247, 0, 1]), [1, 1, 1], "output register 3 is coil 503");
+        assert_eq!(answer_to(&shared, &[1, 1, 247, 0, 1]), [1, 1, 1], "output register 3 is coil 503");
     }
 
     #[test]
@@ -161,7 +161,7 @@ mod tests {
             assert!((signed(400 + axis) / 1e4 - pose[usize::from(axis)]).abs() < 1e-4);
             assert!((signed(403 + axis) / 1e3 - pose[3 + usize::from(axis)]).abs() < 1e-3);
         }
-        ask(&shared, &[6, 8, 0, 0, 1]);
+        answer_to(&shared, &[6, 8, 0, 0, 1]);
         assert_eq!([2050, 2051].map(|a| register(&shared, a)), [41, 0]);
     }
 
@@ -179,7 +179,7 @@ mod tests {
             (&[15, 0, 16, 0, 9, 1, 1], [0x8f, 3]),
             (&[23, 0, 0, 0, 1], [0x97, 1]),
         ] {
-            assert_eq!(ask(&shared, request), exception, "{request:?}");
+            assert_eq!(answer_to(&shared, request), exception, "{request:?}");
         }
         assert_eq!(shared.controller().core.registers.digital_outputs, 0);
         assert!(Session::default().receive(&shared, &[0, 1, 0, 1, 0, 6, 1]).is_err());

@@ -88,7 +88,7 @@ struct Subscription {
 }
 
 #[derive(Debug)]
-struct Outlet {
+struct Client {
     id: ClientId,
     feed: Feed,
     /// Its port takes no scripts.
@@ -111,7 +111,7 @@ struct Writes {
 /// All connections that are sent something.
 #[derive(Debug, Default)]
 pub struct Publisher {
-    publisher: Vec<Outlet>,
+    publisher: Vec<Client>,
     last_id: u64,
     switches: u64,
     sent: u64,
@@ -133,7 +133,7 @@ impl Publisher {
         self.last_id += 1;
         let id = ClientId(self.last_id);
         let (line, inlet) = Line::open(way);
-        self.publisher.push(Outlet {
+        self.publisher.push(Client {
             id,
             feed,
             read_only,
@@ -205,7 +205,7 @@ impl Publisher {
 
     /// An RTDE client's queue is more than half full, and was not given up.
     pub fn a_client_is_behind(&self) -> bool {
-        self.publisher.iter().any(Outlet::is_behind)
+        self.publisher.iter().any(Client::is_behind)
     }
 
     /// Gives up waiting: who is late counts as irregular until it writes regularly again, who is behind
@@ -239,7 +239,7 @@ impl Publisher {
         self.at_once
     }
 
-    fn find(&mut self, id: ClientId) -> Option<&mut Outlet> {
+    fn find(&mut self, id: ClientId) -> Option<&mut Client> {
         self.publisher.iter_mut().find(|outlet| outlet.id == id)
     }
 
@@ -347,7 +347,7 @@ impl Publisher {
     }
 }
 
-impl Outlet {
+impl Client {
     fn is_behind(&self) -> bool {
         self.started && !self.given_up && self.line.is_behind()
     }

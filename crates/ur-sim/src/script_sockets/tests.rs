@@ -145,11 +145,11 @@ fn the_controller_calls_from_its_own_address() {
 }
 
 #[test]
-fn a_variable_is_asked_for_and_answered() {
+fn a_variable_is_requested_and_answered() {
     let port = server(|mut stream| {
-        let mut asked = [0; 8];
-        stream.read_exact(&mut asked).unwrap();
-        assert_eq!(&asked, b"GET POS\n");
+        let mut requested = [0; 8];
+        stream.read_exact(&mut requested).unwrap();
+        assert_eq!(&requested, b"GET POS\n");
         stream.write_all(b"POS 42\n").unwrap();
     });
     assert_eq!(

@@ -33,7 +33,7 @@ const LISTEN_AGAIN: Duration = Duration::from_millis(10);
 /// been silent longest.
 pub const MAX_CONNECTIONS: usize = 32;
 
-/// The same for servers that send without being asked: many may listen there.
+/// The same for servers that send unrequested: many may listen there.
 pub const MAX_LISTENERS: usize = 128;
 
 /// Connections that may still be on their way out, times those that have a place; more wait to be taken.

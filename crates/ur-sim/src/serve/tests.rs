@@ -85,7 +85,7 @@ impl Lines {
         }
     }
 
-    async fn ask(&mut self, question: &str) -> String {
+    async fn request(&mut self, question: &str) -> String {
         self.0.write_all(format!("{question}\n").as_bytes()).await.unwrap();
         tokio::time::timeout(PATIENCE, self.read()).await.unwrap()
     }
@@ -142,7 +142,7 @@ impl Rtde {
         let mut rtde =
             Rtde(TcpStream::connect(bench.at.rtde).await.unwrap(), RtdeSplitter::default(), Version::V1);
         let number = if version == Version::V2 { 2 } else { 1 };
-        assert_eq!(rtde.ask(Request::ProtocolVersion(number)).await, Reply::ProtocolVersion(true));
+        assert_eq!(rtde.request(Request::ProtocolVersion(number)).await, Reply::ProtocolVersion(true));
         rtde.2 = version;
         rtde
     }
@@ -165,7 +165,7 @@ impl Rtde {
     }
 
     /// The next reply that is not data.
-    async fn ask(&mut self, request: Request) -> Reply {
+    async fn request(&mut self, request: Request) -> Reply {
         self.send(request).await;
         loop {
             let reply = tokio::time::timeout(PATIENCE, self.next()).await.unwrap().expect("closed");
@@ -177,7 +177,7 @@ impl Rtde {
 
     async fn inputs(&mut self, names: &[&str]) -> (u8, Vec<Offer>) {
         let names = names.iter().map(|name| (*name).to_owned()).collect();
-        match self.ask(Request::SetupInputs { names }).await {
+        match self.request(Request::SetupInputs { names }).await {
             Reply::SetupInputs { recipe, offers } => (recipe, offers),
             other => panic!("{other:?}"),
         }
@@ -187,7 +187,7 @@ impl Rtde {
         let list: Vec<String> = names.iter().map(|name| (*name).to_owned()).collect();
         let frequency_hz = (self.2 == Version::V2).then_some(frequency_hz);
         let Reply::SetupOutputs { recipe, offers } =
-            self.ask(Request::SetupOutputs { frequency_hz, names: list.clone() }).await
+            self.request(Request::SetupOutputs { frequency_hz, names: list.clone() }).await
         else {
             panic!("not a set-up reply");
         };
@@ -212,21 +212,21 @@ impl Rtde {
 async fn the_dashboard_brings_the_arm_up() {
     let bench = bench(1, ControllerConfig::ur5e(1)).await;
     let mut line = dashboard(&bench).await;
-    assert_eq!(line.ask("robotmode").await, "Robotmode: POWER_OFF");
-    assert_eq!(line.ask("POWER ON").await, "Powering on");
-    assert_eq!(line.ask("robotmode").await, "Robotmode: BOOTING");
+    assert_eq!(line.request("robotmode").await, "Robotmode: POWER_OFF");
+    assert_eq!(line.request("POWER ON").await, "Powering on");
+    assert_eq!(line.request("robotmode").await, "Robotmode: BOOTING");
     bench.until(|b| b.shared.controller().core.modes.powered().then_some(())).await;
-    assert_eq!(line.ask("brake release").await, "Brake releasing");
+    assert_eq!(line.request("brake release").await, "Brake releasing");
     bench.until(|b| b.shared.controller().core.modes.brakes_open().then_some(())).await;
-    assert_eq!(line.ask("robotmode").await, "Robotmode: RUNNING");
-    assert_eq!(line.ask("safetymode").await, "Safetymode: NORMAL");
-    assert_eq!(line.ask("programState").await, "STOPPED <unnamed>");
-    assert_eq!(line.ask("play").await, "Failed to execute: play");
-    assert_eq!(line.ask("is in remote control").await, "true");
-    assert!(line.ask("get serial number").await.parse::<u64>().is_ok());
-    assert_eq!(line.ask("dance").await, "could not understand: dance");
-    assert_eq!(line.ask("load x.urp").await, "File not found: x.urp");
-    assert_eq!(line.ask("quit").await, "Disconnected");
+    assert_eq!(line.request("robotmode").await, "Robotmode: RUNNING");
+    assert_eq!(line.request("safetymode").await, "Safetymode: NORMAL");
+    assert_eq!(line.request("programState").await, "STOPPED <unnamed>");
+    assert_eq!(line.request("play").await, "Failed to execute: play");
+    assert_eq!(line.request("is in remote control").await, "true");
+    assert!(line.request("get serial number").await.parse::<u64>().is_ok());
+    assert_eq!(line.request("dance").await, "could not understand: dance");
+    assert_eq!(line.request("load x.urp").await, "File not found: x.urp");
+    assert_eq!(line.request("quit").await, "Disconnected");
     assert_eq!(line.read().await, "");
 }
 
@@ -248,14 +248,14 @@ async fn local_mode_refuses_until_the_connection_is_made_anew() {
     let mut primary = Primary::connect(bench.at.primary).await;
     primary.next().await;
     bench.shared.controller().core.modes.set_remote(false);
-    assert!(old.ask("power off").await.starts_with("Command is not allowed"));
+    assert!(old.request("power off").await.starts_with("Command is not allowed"));
     assert_eq!(bench.during(primary.event()).await, "closed", "going local closes script connections");
     let mut read_only = Primary::connect(bench.at.primary).await;
     read_only.0.write_all(b"def a():\nend\n").await.unwrap();
     assert_eq!(bench.during(read_only.event()).await, "C210");
     bench.shared.controller().core.modes.set_remote(true);
     assert!(
-        old.ask("power off").await.starts_with("Command is not allowed"),
+        old.request("power off").await.starts_with("Command is not allowed"),
         "the old connection stays refused"
     );
     read_only.0.write_all(b"def b():\nend\n").await.unwrap();
@@ -263,7 +263,7 @@ async fn local_mode_refuses_until_the_connection_is_made_anew() {
     let mut fresh = Primary::connect(bench.at.primary).await;
     fresh.0.write_all(b"def c():\nend\n").await.unwrap();
     assert_eq!(bench.during(fresh.event()).await, format!("{PROGRAM_STARTED}:c"));
-    assert_eq!(dashboard(&bench).await.ask("power off").await, "Powering off");
+    assert_eq!(dashboard(&bench).await.request("power off").await, "Powering off");
 }
 
 #[tokio::test]
@@ -321,7 +321,7 @@ async fn popups_are_reported_on_the_primary_interface() {
     let bench = bench(13, running()).await;
     let mut watcher = Primary::connect(bench.at.primary).await;
     bench.during(watcher.next()).await;
-    assert_eq!(dashboard(&bench).await.ask("popup mind the arm").await, "showing popup");
+    assert_eq!(dashboard(&bench).await.request("popup mind the arm").await, "showing popup");
     let popup = async {
         loop {
             if let Some(Package::Message(message)) = watcher.next().await
@@ -341,7 +341,7 @@ async fn equal_recipes_share_one_encoding_and_long_lists_are_bounded_on_newer_so
     for _ in 0..3 {
         let mut rtde = Rtde::connect(&bench, Version::V2).await;
         let recipe = rtde.outputs(500.0, &["timestamp", "actual_q"]).await.unwrap();
-        rtde.ask(Request::Start).await;
+        rtde.request(Request::Start).await;
         clients.push((rtde, recipe));
     }
     bench.shared.frame(None);
@@ -363,16 +363,16 @@ async fn equal_recipes_share_one_encoding_and_long_lists_are_bounded_on_newer_so
 async fn rtde_gives_recipes_and_data() {
     let bench = bench(4, running()).await;
     let mut rtde = Rtde::connect(&bench, Version::V2).await;
-    let Reply::ControllerVersion(version) = rtde.ask(Request::ControllerVersion).await else {
+    let Reply::ControllerVersion(version) = rtde.request(Request::ControllerVersion).await else {
         panic!("no version")
     };
     assert_eq!(version.major, 5);
-    assert_eq!(rtde.ask(Request::Start).await, Reply::Start(false), "nothing is set up");
+    assert_eq!(rtde.request(Request::Start).await, Reply::Start(false), "nothing is set up");
     assert!(rtde.outputs(125.0, &["timestamp", "no_such_thing"]).await.is_none());
     assert!(rtde.outputs(0.0, &["timestamp"]).await.is_none());
     assert!(rtde.outputs(f64::NAN, &["timestamp"]).await.is_none());
     let recipe = rtde.outputs(125.0, &["timestamp", "actual_q", "runtime_state"]).await.unwrap();
-    assert_eq!(rtde.ask(Request::Start).await, Reply::Start(true));
+    assert_eq!(rtde.request(Request::Start).await, Reply::Start(true));
     let mut before = 40.99;
     for _ in 0..20 {
         let values = bench.during(rtde.data(&recipe)).await;
@@ -382,7 +382,7 @@ async fn rtde_gives_recipes_and_data() {
         assert_eq!(values[2], Value::Uint32(1));
         before = timestamp;
     }
-    assert_eq!(bench.during(rtde.ask(Request::Pause)).await, Reply::Pause(true));
+    assert_eq!(bench.during(rtde.request(Request::Pause)).await, Reply::Pause(true));
 }
 
 #[tokio::test]
@@ -391,7 +391,7 @@ async fn the_output_frequency_divides_the_frames() {
     let mut rtde = Rtde::connect(&bench, Version::V2).await;
     for (frequency, frames) in [(500.0, 1), (600.0, 1), (125.0, 4), (150.0, 3), (1.0, 500)] {
         let recipe = rtde.outputs(frequency, &["control_step"]).await.unwrap();
-        rtde.ask(Request::Start).await;
+        rtde.request(Request::Start).await;
         let mut steps = Vec::new();
         while steps.len() < 3 {
             // One frame at a time, so that no package is skipped.
@@ -402,7 +402,7 @@ async fn the_output_frequency_divides_the_frames() {
                 steps.push(step);
             }
         }
-        rtde.ask(Request::Pause).await;
+        rtde.request(Request::Pause).await;
     }
 }
 
@@ -446,9 +446,9 @@ async fn inputs_take_effect_in_the_next_frame_and_belong_to_one_client() {
     assert_eq!((recipe, offers), (0, vec![Offer::InUse, Offer::Type(VariableType::Int32), Offer::NotFound]));
     assert_eq!(other.inputs(&["input_int_register_25"]).await.0, 1);
     assert_eq!(other.inputs(&["input_int_register_25", "input_int_register_26"]).await.0, 2);
-    let text = other.ask(Request::Data { recipe: 2, payload: vec![0; 3] }).await;
+    let text = other.request(Request::Data { recipe: 2, payload: vec![0; 3] }).await;
     assert!(matches!(text, Reply::Text(_)), "{text:?}");
-    let text = other.ask(Request::Data { recipe: 9, payload: vec![0; 3] }).await;
+    let text = other.request(Request::Data { recipe: 9, payload: vec![0; 3] }).await;
     assert!(matches!(text, Reply::Text(_)), "{text:?}");
 
     drop(rtde);
@@ -465,7 +465,7 @@ async fn a_script_and_rtde_exchange_registers() {
     let mut rtde = Rtde::connect(&bench, Version::V2).await;
     let recipe = rtde.outputs(500.0, &["output_int_register_24", "input_int_register_24"]).await.unwrap();
     rtde.inputs(&["input_int_register_24"]).await;
-    rtde.ask(Request::Start).await;
+    rtde.request(Request::Start).await;
     let mut sender = TcpStream::connect(bench.at.realtime).await.unwrap();
     let script = "def echo():\n while True:\n  write_output_integer_register(24, 2 * \
                   read_input_integer_register(24))\n  sync()\n end\nend\n";
@@ -480,7 +480,7 @@ async fn version_one_clients_get_packages_without_a_recipe_id() {
     let bench = bench(8, running()).await;
     let mut rtde = Rtde::connect(&bench, Version::V1).await;
     let recipe = rtde.outputs(0.0, &["timestamp"]).await.unwrap();
-    rtde.ask(Request::Start).await;
+    rtde.request(Request::Start).await;
     let values = bench.during(rtde.data(&recipe)).await;
     assert!(matches!(values[..], [Value::Double(timestamp)] if timestamp >= 41.0));
 }
@@ -491,11 +491,11 @@ async fn an_rtde_client_that_does_not_read_is_dropped_and_a_script_client_is_not
     let mut lazy = Rtde::connect(&bench, Version::V2).await;
     let names: Vec<&str> = ur_wire::rtde_variables::OUTPUTS.iter().map(|(name, _)| *name).collect();
     lazy.outputs(500.0, &names).await.unwrap();
-    lazy.ask(Request::Start).await;
+    lazy.request(Request::Start).await;
     let mut silent = TcpStream::connect(bench.at.realtime).await.unwrap();
     let mut good = Rtde::connect(&bench, Version::V2).await;
     let recipe = good.outputs(1.0, &["timestamp"]).await.unwrap();
-    good.ask(Request::Start).await;
+    good.request(Request::Start).await;
     let connections = |b: &Bench| b.shared.publisher().subscribers(Feed::Rtde);
     bench.until(|b| (connections(b) == 1).then_some(())).await;
     assert!(bench.shared.publisher().counts().1 > 0, "nothing was skipped");
@@ -533,7 +533,7 @@ async fn random_bytes_do_not_disturb_the_servers() {
             bench.shared.frame(None);
         }
     }
-    assert_eq!(dashboard(&bench).await.ask("robotmode").await, "Robotmode: RUNNING");
+    assert_eq!(dashboard(&bench).await.request("robotmode").await, "Robotmode: RUNNING");
     let mut rtde = Rtde::connect(&bench, Version::V2).await;
     assert!(rtde.outputs(500.0, &["timestamp"]).await.is_some());
 }

@@ -1,8 +1,8 @@
-//! Faults of the world: air, sticky cups, moved objects, and what the camera suffers; and what the desk of
-//! faults needs to see to know when they are due.
+//! Faults of the world: air, sticky cups, moved objects, and what the camera suffers; and what the injector
+//! of faults needs to see to know when they are due.
 //!
-//! In: calls of the desk between two frames. Out: changed state, events, glances. Nothing here happens by
-//! itself.
+//! In: calls of the injector between two frames. Out: changed state, events, glances. Nothing here happens
+//! by itself.
 
 use crate::faults::FaultError;
 use crate::faults::camera::CameraFaults;

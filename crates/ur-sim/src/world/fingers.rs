@@ -1,7 +1,7 @@
 //! Two parallel fingers as they are now: opening, force, what they hold.
 //!
 //! In: the opening, and the registers of the gripper's controller. Out: where the fingers are, and what they
-//! carry. The world moves them (`squeeze`).
+//! carry. The world moves them (`finger_grip`).
 
 use crate::world::drive::FingersSpec;
 use crate::world::section::Section;

@@ -9,9 +9,9 @@
 //! front of one that is, does not give way: the arm presses on it.
 
 use crate::world::event::EventKind;
+use crate::world::finger_grip::{finger, seen_from_above};
 use crate::world::placing::TOUCH_M;
 use crate::world::section::Section;
-use crate::world::squeeze::{finger, seen_from_above};
 use crate::world::{Body, BodyState, World};
 use cell_values::units::GRAVITY;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};

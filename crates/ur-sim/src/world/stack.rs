@@ -192,8 +192,11 @@ mod tests {
         assert!(stacked(&cell, "a") && !cell.world.object("a").unwrap().is_tilted());
         assert!((height(&cell, "a") - 0.02).abs() < 1e-12);
         assert!(cell.pose("a").distance(&Pose2::new(0.31, 0.3, 0.0)) < 1e-9);
-        let told = cell.world.snapshot_json();
-        assert_eq!((&told["objects"][0]["on"][0], &told["objects"][0]["z_m"]), (&"b".into(), &0.02.into()));
+        let reported = cell.world.snapshot_json();
+        assert_eq!(
+            (&reported["objects"][0]["on"][0], &reported["objects"][0]["z_m"]),
+            (&"b".into(), &0.02.into())
+        );
         cell.at = [0.31, 0.3, 0.15];
         cell.go([0.31, 0.3, 0.04]);
         cell.world.command_vacuum(Channel::A, VacuumMode::Grip, 0.6);

@@ -109,7 +109,7 @@ fn golden_words() {
 }
 
 #[test]
-fn only_the_channels_asked_for_are_written() {
+fn only_the_channels_requested_are_written() {
     for (channels, expected) in [
         (Channels::A, (0, vec![0x013C])),
         (Channels::B, (1, vec![0x013C])),
@@ -217,7 +217,7 @@ fn three_failures_make_it_unreachable_and_one_answer_brings_it_back() {
         assert_eq!(rig.events, []);
         rig.run_ms(500);
         assert_eq!(rig.events, [GripperEvent::Unreachable { failures: 3, cause: failure }]);
-        assert!(rig.gripper.holding(), "the device goes on as it was told");
+        assert!(rig.gripper.holding(), "the device goes on as it was ordered");
         rig.failure = None;
         rig.run_ms(30);
         assert_eq!(rig.events[1..], [GripperEvent::Answering]);

@@ -22,14 +22,17 @@ const MAX_PAYLOAD_KG: f64 = 5.0;
 impl Robot {
     pub(super) fn take_command(&mut self, now: Timestamp, command: RobotCommand) -> Result<(), Refused> {
         match command {
-            RobotCommand::PowerOn => self.ask_arm(now, "power on", Command::PowerOn, ArmGoal::PoweredOn),
+            RobotCommand::PowerOn => self.request_arm(now, "power on", Command::PowerOn, ArmGoal::PoweredOn),
             RobotCommand::ReleaseBrakes => {
-                self.ask_arm(now, "brake release", Command::BrakeRelease, ArmGoal::Running)
+                self.request_arm(now, "brake release", Command::BrakeRelease, ArmGoal::Running)
             }
-            RobotCommand::UnlockProtectiveStop => {
-                self.ask_arm(now, "unlock protective stop", Command::UnlockProtectiveStop, ArmGoal::Unlocked)
-            }
-            RobotCommand::CloseSafetyPopup => self.ask_dashboard(now, Command::CloseSafetyPopup),
+            RobotCommand::UnlockProtectiveStop => self.request_arm(
+                now,
+                "unlock protective stop",
+                Command::UnlockProtectiveStop,
+                ArmGoal::Unlocked,
+            ),
+            RobotCommand::CloseSafetyPopup => self.request_dashboard(now, Command::CloseSafetyPopup),
             RobotCommand::StartProgram { nonce } => {
                 self.arm_is_ready()?;
                 self.start_program(now, nonce)
@@ -59,15 +62,15 @@ impl Robot {
         }
     }
 
-    fn ask_dashboard(&mut self, now: Timestamp, command: Command) -> Result<(), Refused> {
+    fn request_dashboard(&mut self, now: Timestamp, command: Command) -> Result<(), Refused> {
         if self.remote_control != Some(true) {
             return Err(Refused::LocalMode);
         }
-        let taken = self.dashboard.ask(now, command);
+        let taken = self.dashboard.request(now, command);
         if taken { Ok(()) } else { Err(Refused::NotConnected(Link::Dashboard)) }
     }
 
-    fn ask_arm(
+    fn request_arm(
         &mut self,
         now: Timestamp,
         what: &'static str,
@@ -79,7 +82,7 @@ impl Robot {
             self.report(RobotEvent::Completed { what: what.into() });
             return Ok(());
         }
-        self.ask_dashboard(now, command.clone())?;
+        self.request_dashboard(now, command.clone())?;
         if goal != ArmGoal::Unlocked {
             self.powers = true;
         }

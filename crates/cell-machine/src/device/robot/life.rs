@@ -44,11 +44,11 @@ impl Robot {
             self.upload(now, nonce, false, now + START_WITHIN);
             return Ok(());
         }
-        if !self.dashboard.ask_first(now, Command::Stop) {
+        if !self.dashboard.request_first(now, Command::Stop) {
             return Err(Refused::NotConnected(Link::Dashboard));
         }
         if !matches!(self.program, Program::Absent) {
-            self.program_ended(ProgramEnd::AsAsked);
+            self.program_ended(ProgramEnd::AsRequested);
         }
         self.program = Program::Clearing { nonce, deadline: now + HALT_WITHIN };
         Ok(())
@@ -76,7 +76,7 @@ impl Robot {
                 self.program = Program::Stopping { deadline: now + STOP_WITHIN };
             }
             Program::Stopping { .. } => {}
-            Program::Halting { asked, .. } => *asked = true,
+            Program::Halting { requested, .. } => *requested = true,
             Program::Absent if runtime == Some(RuntimeState::Stopped) => self.report(RobotEvent::Stopped),
             Program::Absent => self.halt(now, None, true),
             // A paused program does not read its registers.
@@ -89,15 +89,15 @@ impl Robot {
 
     /// Stops by dashboard and by silence. The opcode goes out as well: a program that is paused, and that
     /// the dashboard cannot end, reads it in the first frame after a person presses play.
-    pub(super) fn halt(&mut self, now: Timestamp, reason: Option<ProgramEnd>, asked: bool) {
+    pub(super) fn halt(&mut self, now: Timestamp, reason: Option<ProgramEnd>, requested: bool) {
         self.stream.clear();
         self.setup.deadline = None;
         if self.program.reads_registers() {
             self.write_at_once(Opcode::Stop);
         }
         // If the dashboard is not there, silence alone has to do.
-        let _ = self.dashboard.ask_first(now, Command::Stop);
-        self.program = Program::Halting { reason, asked, deadline: now + HALT_WITHIN };
+        let _ = self.dashboard.request_first(now, Command::Stop);
+        self.program = Program::Halting { reason, requested, deadline: now + HALT_WITHIN };
     }
 
     /// Ends the program in good order.
@@ -113,7 +113,7 @@ impl Robot {
             }
             Program::Ending { .. } => return Ok(()),
         }
-        self.begin_end(now, ProgramEnd::AsAsked);
+        self.begin_end(now, ProgramEnd::AsRequested);
         Ok(())
     }
 
@@ -144,7 +144,7 @@ impl Robot {
             | Program::Running { .. }
             | Program::Stopping { .. }
             | Program::Ending { .. } => {
-                let _ = self.dashboard.ask_first(now, Command::Stop);
+                let _ = self.dashboard.request_first(now, Command::Stop);
                 self.program_ended(ProgramEnd::LinkLost);
             }
         }
@@ -154,9 +154,9 @@ impl Robot {
     /// has to do for what is known of the program, and nothing is known of the arm.
     pub(super) fn dashboard_stopped(&mut self) {
         if !self.rtde.ready()
-            && let Program::Halting { asked, .. } = &mut self.program
+            && let Program::Halting { requested, .. } = &mut self.program
         {
-            *asked = false;
+            *requested = false;
             self.halted();
         }
     }
@@ -169,9 +169,10 @@ impl Robot {
     }
 
     fn halted(&mut self) {
-        if let Program::Halting { reason, asked, .. } = std::mem::replace(&mut self.program, Program::Absent)
+        if let Program::Halting { reason, requested, .. } =
+            std::mem::replace(&mut self.program, Program::Absent)
         {
-            if asked {
+            if requested {
                 self.report(RobotEvent::Stopped);
             }
             if let Some(reason) = reason {

@@ -150,7 +150,7 @@ impl Robot {
         }
         if std::mem::take(&mut self.powers) {
             // Without a dashboard what was sent comes true, and the time that it takes at most passes.
-            let _ = self.dashboard.ask_first(now, Command::PowerOff);
+            let _ = self.dashboard.request_first(now, Command::PowerOff);
             let until = now + POWERED_WITHIN;
             self.powering_off = Some(PoweringOff { accepted: false, off_since: None, until });
         }

@@ -63,7 +63,7 @@ pub enum Program {
         /// Why; `None` if the program was not ours.
         reason: Option<ProgramEnd>,
         /// A requester waits for [`RobotEvent::Stopped`].
-        asked: bool,
+        requested: bool,
         /// Until when.
         deadline: Timestamp,
     },

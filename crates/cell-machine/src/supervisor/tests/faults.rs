@@ -33,7 +33,7 @@ fn after_a_stop_and_arming_a_new_program_is_started_and_the_next_job_runs() {
     bench.job(false);
     bench.feed(order(Order::Arm));
     // Starting ours ends whatever is left of the old one, which is no fault.
-    let reason = ProgramEnd::AsAsked;
+    let reason = ProgramEnd::AsRequested;
     bench.feed(Input::Robot(RobotEvent::ProgramEnded { reason }));
     let actions = bench.ticks(20);
     assert_eq!(ended(&actions), None, "{actions:?}");
@@ -307,7 +307,7 @@ fn approval_of_the_first_plan_covers_the_next_for_the_same_goal() {
     }
 }
 
-fn camera_trouble(code: Code, lasting: bool) -> Input {
+fn camera_fault(code: Code, lasting: bool) -> Input {
     let message = "the camera is frozen".to_string();
     Input::Captured(Err(CameraFault { code, message, hint: "look at its cable".into(), lasting }))
 }
@@ -329,16 +329,16 @@ fn a_camera_without_pictures_is_waited_for_and_named_once() {
     let mut bench = looking();
     let mut all = Vec::new();
     for _ in 0..5 {
-        all.extend(bench.feed(camera_trouble(Code::CameraFrozen, false)));
+        all.extend(bench.feed(camera_fault(Code::CameraFrozen, false)));
         all.extend(bench.ticks(10));
     }
-    assert_eq!(streams(&all), 0, "the arm stands");
-    let asked = all.iter().filter(|action| matches!(action, Action::Capture { .. })).count();
+    assert_eq!(streams(&all), 0, "the arm rests");
+    let requested = all.iter().filter(|action| matches!(action, Action::Capture { .. })).count();
     let reported = all.iter().filter(|action| matches!(action, Action::Say(notice) if notice.alarm)).count();
-    assert_eq!((asked, reported, ended(&all)), (5, 1, None), "{all:?}");
+    assert_eq!((requested, reported, ended(&all)), (5, 1, None), "{all:?}");
     assert_eq!(bench.cell.status().text(), "looking 1/1, waiting: camera_frozen");
-    all.extend(bench.feed(camera_trouble(Code::CameraDark, false)));
-    assert!(said(&all, "camera_dark"), "another fault is told again");
+    all.extend(bench.feed(camera_fault(Code::CameraDark, false)));
+    assert!(said(&all, "camera_dark"), "another fault is reported again");
     bench.ticks(10);
     let back = bench.feed(Input::Captured(Ok(Vec::new())));
     assert!(said(&back, "gives pictures again"));
@@ -348,7 +348,7 @@ fn a_camera_without_pictures_is_waited_for_and_named_once() {
 #[test]
 fn a_camera_that_stays_away_fails_the_job_by_its_name_and_leaves_the_cell_armed() {
     let mut bench = looking();
-    let mut all = bench.feed(camera_trouble(Code::CameraUnplugged, false));
+    let mut all = bench.feed(camera_fault(Code::CameraUnplugged, false));
     // The look's deadline is 20 s; a tick here is 20 ms.
     all.extend(bench.ticks(1100));
     assert_eq!(ended(&all), Some((JobStatus::Failed, "camera_unplugged".into())));
@@ -361,7 +361,7 @@ fn a_camera_that_stays_away_fails_the_job_by_its_name_and_leaves_the_cell_armed(
 #[test]
 fn another_camera_than_the_calibrated_one_is_not_waited_for() {
     let mut bench = looking();
-    let reported = bench.feed(camera_trouble(Code::CameraMisfit, true));
+    let reported = bench.feed(camera_fault(Code::CameraMisfit, true));
     assert_eq!(ended(&reported), Some((JobStatus::Failed, "camera_misfit".into())));
 }
 

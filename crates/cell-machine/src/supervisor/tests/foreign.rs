@@ -87,7 +87,7 @@ fn nothing_foreign_is_no_doubt_and_neither_is_a_camera_without_depth() {
 }
 
 #[test]
-fn depth_that_is_asked_for_has_to_come_and_to_cover_the_table() {
+fn depth_that_is_requested_has_to_come_and_to_cover_the_table() {
     let needed = ForeignRule::Refuse { depth_needed: true };
     assert_eq!(goes(&mut with(needed, None)).unwrap_err().0, "depth_missing");
     assert_eq!(

@@ -104,7 +104,7 @@ fn an_arm_rests_once_it_was_seen_at_rest_for_a_while() {
     let mut shown = Notified::default();
     let mut moves = |bench: &Bench, ms: u64| {
         let now = Timestamp::from_secs_f64(1.0) + Duration::from_millis(ms);
-        shown.moves(now, &bench.outside(&bench.robot), RESTS_AFTER)
+        shown.moves(now, &bench.devices(&bench.robot), RESTS_AFTER)
     };
     assert!(!moves(&bench, 0));
     moving_arm(&mut bench);

@@ -116,7 +116,7 @@ fn intents(actions: &[Action]) -> usize {
 }
 
 #[test]
-fn what_was_approved_is_carried_out_and_what_differs_is_asked_again() {
+fn what_was_approved_is_carried_out_and_what_differs_is_requested_again() {
     let here = Bench::new().at;
     let moved = Pose2::new(here.x + 0.05, here.y, here.theta);
     let (_, all) = approved_then_armed(Approval::Always, here);

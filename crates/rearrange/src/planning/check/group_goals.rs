@@ -9,20 +9,20 @@ pub(super) fn unserved(standing: &[Vec<usize>]) -> Option<usize> {
     let members = standing.iter().flatten().max().map_or(0, |last| last + 1);
     let mut taken: Vec<Option<usize>> = vec![None; members];
     (0..standing.len()).find(|&goal| {
-        let mut asked = vec![false; members];
-        !serve(goal, standing, &mut taken, &mut asked)
+        let mut requested = vec![false; members];
+        !serve(goal, standing, &mut taken, &mut requested)
     })
 }
 
 /// Finds a member for `goal`, moving others to their second choice; each member is tried once.
-fn serve(goal: usize, standing: &[Vec<usize>], taken: &mut [Option<usize>], asked: &mut [bool]) -> bool {
+fn serve(goal: usize, standing: &[Vec<usize>], taken: &mut [Option<usize>], requested: &mut [bool]) -> bool {
     for &member in &standing[goal] {
-        if std::mem::replace(&mut asked[member], true) {
+        if std::mem::replace(&mut requested[member], true) {
             continue;
         }
         let free = match taken[member] {
             None => true,
-            Some(other) => serve(other, standing, taken, asked),
+            Some(other) => serve(other, standing, taken, requested),
         };
         if free {
             taken[member] = Some(goal);

@@ -176,7 +176,7 @@ fn strict_paper_takes_the_first_plan_of_minimum_peak() {
 }
 
 #[test]
-fn tree_searches_go_on_until_the_limit_unless_asked_for_the_first_plan() {
+fn tree_searches_go_on_until_the_limit_unless_requested_the_first_plan() {
     let mut improved = 0;
     for (case, problem) in random_problems(24, 8).iter().enumerate() {
         for solver in [SolverKind::Mcts, SolverKind::Emcts] {
@@ -329,7 +329,7 @@ fn auto_finds_the_same_on_any_number_of_threads() {
 }
 
 #[test]
-fn auto_finds_the_same_on_any_number_of_threads_where_it_asks_others() {
+fn auto_finds_the_same_on_any_number_of_threads_where_it_requests_others() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().expect("threads");
     // The first plan is found by MCTS, and by ETBM.
     for (objects, seed) in [(10, 5), (26, 20)] {
@@ -350,7 +350,7 @@ fn auto_finds_the_same_on_any_number_of_threads_where_it_asks_others() {
 }
 
 #[test]
-fn auto_stops_at_the_first_plan_if_asked_to() {
+fn auto_stops_at_the_first_plan_if_requested_to() {
     for problem in &random_problems(27, 4) {
         let reported = Mutex::new(0);
         let on_plan = |_: &[Action], _: f64| *reported.lock().expect("one thread") += 1;

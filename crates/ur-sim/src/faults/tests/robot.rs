@@ -52,21 +52,21 @@ async fn programs_are_paused_killed_replaced_and_kept_from_starting() {
     let _ours = bench.upload(LOOP).await;
     bench.until("the start", playing).await;
     bench.fault("{do: ur.pause, args: {seconds: 100}}");
-    assert_eq!(bench.ask("programState").await, "PAUSED ours");
+    assert_eq!(bench.request("programState").await, "PAUSED ours");
     bench.fault("{do: clear, args: {fault: ur.pause}}");
-    assert_eq!(bench.ask("programState").await, "PLAYING ours");
+    assert_eq!(bench.request("programState").await, "PLAYING ours");
     bench.fault("{do: ur.foreign_script, args: {runs_s: 1000}}");
     bench
         .until("the other program", |sim| sim.robot().controller().programs.name() == Some("foreign_program"))
         .await;
-    assert_eq!(bench.ask("programState").await, "PLAYING foreign_program");
+    assert_eq!(bench.request("programState").await, "PLAYING foreign_program");
     bench.fault("{do: ur.kill_program}");
-    assert_eq!(bench.ask("programState").await, "STOPPED foreign_program");
+    assert_eq!(bench.request("programState").await, "STOPPED foreign_program");
     bench.fault("{do: ur.never_start}");
     let _deaf = bench.upload(LOOP).await;
     let began = bench.step();
     bench.until("a second", |sim| sim.robot().controller().core.step > began + 500).await;
-    assert_eq!(bench.ask("running").await, "Program running: false");
+    assert_eq!(bench.request("running").await, "Program running: false");
     bench.sim.shutdown().await;
 }
 
@@ -77,7 +77,7 @@ async fn a_script_error_is_reported_on_the_primary_interface() {
     bench.until("the start", |sim| sim.robot().controller().programs.playing()).await;
     bench.fault("{do: ur.script_error}");
     assert!(!bench.sim.robot().controller().programs.playing());
-    let (mut received, text) = (Vec::new(), b"runtime exception by the fault desk");
+    let (mut received, text) = (Vec::new(), b"runtime exception by the fault injector");
     while !received.windows(text.len()).any(|window| window == text) {
         let mut buffer = [0; 4096];
         let count = tokio::time::timeout(PATIENCE, ours.read(&mut buffer)).await.unwrap().unwrap();
@@ -93,13 +93,13 @@ async fn local_mode_refuses_commands_and_scripts() {
     let mut ours = bench.upload(LOOP).await;
     bench.until("the start", |sim| sim.robot().controller().programs.playing()).await;
     bench.fault("{do: ur.local}");
-    assert_eq!(bench.ask("is in remote control").await, "false");
-    assert!(bench.ask("power off").await.starts_with("Command is not allowed"));
+    assert_eq!(bench.request("is in remote control").await, "false");
+    assert!(bench.request("power off").await.starts_with("Command is not allowed"));
     let mut rest = Vec::new();
     // The script connection is closed, in order or not.
     let _ = tokio::time::timeout(PATIENCE, ours.read_to_end(&mut rest)).await.unwrap();
     bench.fault("{do: clear}");
-    assert_eq!(bench.ask("is in remote control").await, "true");
+    assert_eq!(bench.request("is in remote control").await, "true");
     bench.sim.shutdown().await;
 }
 
@@ -162,8 +162,8 @@ async fn a_reboot_closes_refuses_and_comes_back_as_another_robot() {
         assert!(began.elapsed() < PATIENCE, "nobody listens");
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
-    assert_eq!(bench.ask("get serial number").await, "20240000009");
-    assert_eq!(bench.ask("robotmode").await, "Robotmode: POWER_OFF");
+    assert_eq!(bench.request("get serial number").await, "20240000009");
+    assert_eq!(bench.request("robotmode").await, "Robotmode: POWER_OFF");
     assert_ne!(bench.sim.robot().controller().core.config.dh.a, dh.a);
     bench.sim.shutdown().await;
 }
@@ -176,7 +176,7 @@ async fn connections_are_reset_and_new_ones_work() {
     gripper.read_holding_registers(2, 1).await.unwrap().unwrap();
     bench.fault("{do: net.reset_peer, args: {link: rtde}}");
     while rtde.reply().await.is_some() {}
-    assert_eq!(ask(&mut dashboard, "robotmode").await, "Robotmode: RUNNING", "the others go on");
+    assert_eq!(request(&mut dashboard, "robotmode").await, "Robotmode: RUNNING", "the others go on");
     bench.fault("{do: net.reset_peer, args: {link: all}}");
     assert!(gripper.read_holding_registers(2, 1).await.is_err());
     let mut rest = Vec::new();
@@ -184,7 +184,7 @@ async fn connections_are_reset_and_new_ones_work() {
         tokio::time::timeout(PATIENCE, dashboard.read_to_end(&mut rest)).await.unwrap().is_err(),
         "a reset"
     );
-    assert_eq!(bench.ask("robotmode").await, "Robotmode: RUNNING");
+    assert_eq!(bench.request("robotmode").await, "Robotmode: RUNNING");
     bench.gripper().await.read_holding_registers(2, 1).await.unwrap().unwrap();
     bench.sim.shutdown().await;
 }
@@ -211,11 +211,11 @@ async fn answers_come_late_in_pieces_or_not_whole() {
     let mut dashboard = bench.dashboard().await;
     bench.fault("{do: net.latency, args: {link: dashboard, latency_s: 5}}");
     let began = Instant::now();
-    assert_eq!(ask(&mut dashboard, "robotmode").await, "Robotmode: RUNNING");
+    assert_eq!(request(&mut dashboard, "robotmode").await, "Robotmode: RUNNING");
     assert!(began.elapsed().as_secs_f64() * FACTOR >= 5.0, "{:?}", began.elapsed());
     bench.fault("{do: clear}");
     bench.fault("{do: net.slicer, args: {link: dashboard, bytes: 1}}");
-    assert_eq!(ask(&mut dashboard, "safetymode").await, "Safetymode: NORMAL");
+    assert_eq!(request(&mut dashboard, "safetymode").await, "Safetymode: NORMAL");
     bench.fault("{do: clear}");
     bench.fault("{do: net.limit_data, args: {link: dashboard, bytes: 7}}");
     let mut greeting = Vec::new();
@@ -229,7 +229,7 @@ async fn answers_come_late_in_pieces_or_not_whole() {
 }
 
 #[tokio::test]
-async fn a_slice_is_never_larger_than_asked() {
+async fn a_slice_is_never_larger_than_requested() {
     use crate::faults::link::{Link, LinkState};
     use crate::serve::stream::LinkStream;
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
@@ -377,12 +377,12 @@ async fn the_controller_says_it_is_another_one() {
     let bench = bench("").await;
     bench.fault("{do: ur.version, args: {version: 3.15.8.106339}}");
     bench.fault("{do: ur.model, args: {model: UR10}}");
-    assert_eq!(bench.ask("version").await, "3.15.8.106339");
-    assert_eq!(bench.ask("get robot model").await, "UR10");
+    assert_eq!(bench.request("version").await, "3.15.8.106339");
+    assert_eq!(bench.request("get robot model").await, "UR10");
     bench.fault("{do: clear, args: {fault: ur.model}}");
-    assert_eq!(bench.ask("get robot model").await, "UR5");
+    assert_eq!(bench.request("get robot model").await, "UR5");
     bench.fault("{do: clear}");
-    assert!(bench.ask("PolyscopeVersion").await.starts_with("URSoftware 5."));
+    assert!(bench.request("PolyscopeVersion").await.starts_with("URSoftware 5."));
     bench.sim.shutdown().await;
 }
 

@@ -39,7 +39,7 @@ impl Player {
         Player { controller: Controller::new(config), switches: 0 }
     }
 
-    fn ask(&mut self, line: &str) -> String {
+    fn request(&mut self, line: &str) -> String {
         let command = Command::parse(line);
         let reply = answer(&mut self.controller, &command, line, self.switches).line(&command);
         self.controller.frame();
@@ -51,7 +51,7 @@ impl Player {
         let mut said = String::new();
         for step in steps.split(',').map(str::trim).filter(|step| !step.is_empty()) {
             if let Some(line) = step.strip_prefix('`').and_then(|step| step.strip_suffix('`')) {
-                said = self.ask(line);
+                said = self.request(line);
                 continue;
             }
             let controller = &mut self.controller;
@@ -83,8 +83,8 @@ impl Player {
     /// Robot mode, safety mode and program state in the dashboard's words.
     fn seen(&mut self) -> [String; 3] {
         let word = |text: String| text.split(' ').next_back().unwrap_or_default().to_owned();
-        let program = self.ask("programState").split(' ').next().unwrap_or_default().to_owned();
-        [word(self.ask("robotmode")), word(self.ask("safetymode")), program]
+        let program = self.request("programState").split(' ').next().unwrap_or_default().to_owned();
+        [word(self.request("robotmode")), word(self.request("safetymode")), program]
     }
 }
 
@@ -123,11 +123,11 @@ fn every_command_answers_as_listed() {
     let mut parsed = Vec::new();
     for row in table("command") {
         let line = row[0].trim_matches('`');
-        assert_eq!(player.ask(line), row[1], "{row:?}");
+        assert_eq!(player.request(line), row[1], "{row:?}");
         let mut local = Player::new();
         local.controller.core.modes.set_remote(false);
         local.switches = 1;
-        assert_eq!(local.ask(line) == NOT_ALLOWED_TEXT, row[2] == "refused", "{row:?} in local mode");
+        assert_eq!(local.request(line) == NOT_ALLOWED_TEXT, row[2] == "refused", "{row:?} in local mode");
         parsed.push(std::mem::discriminant(&Command::parse(line)));
     }
     parsed.dedup();
@@ -138,10 +138,10 @@ fn every_command_answers_as_listed() {
 fn a_controller_without_remote_control_takes_commands_and_has_no_switch() {
     let mut player = Player::new();
     player.controller.core.modes = Modes::new(false, Control::NotEnabled);
-    assert_eq!(player.ask("is in remote control"), "false");
+    assert_eq!(player.request("is in remote control"), "false");
     assert_eq!(player.play("`brake release`, 2 s, `load work.urp`, `play`"), "Starting program");
     assert_eq!(player.play("local control, `stop`"), "Stopped");
-    assert_eq!(player.ask("is in remote control"), "false");
+    assert_eq!(player.request("is in remote control"), "false");
 }
 
 #[test]

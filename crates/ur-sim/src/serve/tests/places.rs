@@ -10,22 +10,22 @@ async fn forgotten_dashboard_connections_shut_out_no_other() {
     let mut forgotten = Vec::new();
     for _ in 0..5 * MAX_CONNECTIONS {
         forgotten.push(TcpStream::connect(bench.at.dashboard).await.unwrap());
-        assert_eq!(busy.ask("running").await, "Program running: false");
+        assert_eq!(busy.request("running").await, "Program running: false");
     }
-    assert_eq!(dashboard(&bench).await.ask("robotmode").await, "Robotmode: RUNNING");
+    assert_eq!(dashboard(&bench).await.request("robotmode").await, "Robotmode: RUNNING");
     let mut rest = Vec::new();
     // An end or a reset: it has left.
     let first = forgotten.first_mut().unwrap().read_to_end(&mut rest);
     let _ = tokio::time::timeout(PATIENCE, first).await.expect("the first still has its place");
 }
 
-/// A server that sends without being asked takes more, and a client that only reads is not silent.
+/// A server that sends unrequested takes more, and a client that only reads is not silent.
 #[tokio::test]
 async fn forgotten_rtde_connections_shut_out_no_other_and_readers_stay() {
     let bench = bench(20, running()).await;
     let mut reader = Rtde::connect(&bench, Version::V2).await;
     let recipe = reader.outputs(500.0, &["timestamp"]).await.unwrap();
-    assert_eq!(reader.ask(Request::Start).await, Reply::Start(true));
+    assert_eq!(reader.request(Request::Start).await, Reply::Start(true));
     let mut forgotten = Vec::new();
     for _ in 0..2 * MAX_LISTENERS {
         forgotten.push(TcpStream::connect(bench.at.rtde).await.unwrap());

@@ -22,7 +22,7 @@ async fn packages_arrive_whole_and_in_order_whether_the_queue_is_used_or_not() {
     let mut names = vec!["timestamp"];
     names.extend(OUTPUTS.iter().map(|(name, _)| *name).filter(|name| *name != "timestamp"));
     let recipe = rtde.outputs(500.0, &names).await.unwrap();
-    rtde.ask(Request::Start).await;
+    rtde.request(Request::Start).await;
     // One socket buffer after the other fills, then the queue, then packages are skipped.
     bench.until(|b| (b.shared.publisher().counts().1 > 0).then_some(())).await;
     let behind = bench.shared.publisher().counts().0;
@@ -83,7 +83,7 @@ async fn an_answer_that_is_held_back_comes_without_anything_behind_it() {
     let late = LinkState { latency: Duration::from_millis(30), ..LinkState::default() };
     bench.shared.links.get(LinkName::Rtde).set(late);
     let mut rtde = Rtde::connect(&bench, Version::V2).await;
-    assert!(matches!(rtde.ask(Request::ControllerVersion).await, Reply::ControllerVersion(_)));
+    assert!(matches!(rtde.request(Request::ControllerVersion).await, Reply::ControllerVersion(_)));
 }
 
 #[tokio::test]

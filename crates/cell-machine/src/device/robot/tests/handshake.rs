@@ -31,8 +31,8 @@ fn all_links_come_up_and_identify_the_robot() {
     rig.events.clear();
     rig.run_ms(3000);
     assert_eq!(rig.events, [], "a quiet robot is a quiet session");
-    let asked = rig.fake.dashboard_lines.iter().filter(|line| *line == "is in remote control").count();
-    assert!((3..=4).contains(&asked), "remote control is asked for each second, was {asked} times");
+    let requested = rig.fake.dashboard_lines.iter().filter(|line| *line == "is in remote control").count();
+    assert!((3..=4).contains(&requested), "remote control is polled each second, was {requested} times");
 }
 
 #[test]
@@ -69,7 +69,7 @@ fn a_link_cut_anywhere_in_the_handshake_is_made_again() {
 }
 
 #[test]
-fn registers_in_use_are_named_and_asked_for_again() {
+fn registers_in_use_are_named_and_requested_again() {
     let mut rig = Rig::new();
     rig.fake.in_use = vec!["input_int_register_25".into(), "input_double_register_30".into()];
     rig.connect_all();

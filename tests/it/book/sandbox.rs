@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
 const EXAMPLE: &str = "127.0.0.2";
 const EXAMPLE_PAGE: &str = "127.0.0.1:8737";
 
-pub struct Desk {
+pub struct Sandbox {
     folder: tempfile::TempDir,
     address: &'static str,
     /// The process groups that were started, one a block.
@@ -27,9 +27,9 @@ pub struct Desk {
     printed: Cell<usize>,
 }
 
-impl Desk {
-    /// A desk whose simulated devices are at `address` and `factor` times as fast as real ones.
-    pub fn new(address: &'static str, factor: u32) -> Desk {
+impl Sandbox {
+    /// A sandbox whose simulated devices are at `address` and `factor` times as fast as real ones.
+    pub fn new(address: &'static str, factor: u32) -> Sandbox {
         let folder = tempfile::tempdir().unwrap();
         let root = Path::new(env!("CARGO_MANIFEST_DIR"));
         let (cell, _) = configuration(folder.path(), address, factor);
@@ -43,7 +43,7 @@ impl Desk {
         }
         std::fs::create_dir(folder.path().join(".bin")).unwrap();
         symlink(CELLD, folder.path().join(".bin/celld")).unwrap();
-        Desk { folder, address, groups: RefCell::default(), printed: Cell::new(0) }
+        Sandbox { folder, address, groups: RefCell::default(), printed: Cell::new(0) }
     }
 
     pub fn path(&self) -> &Path {
@@ -126,7 +126,7 @@ impl Desk {
         (child, log)
     }
 
-    /// A text of the page with this desk's addresses.
+    /// A text of the page with this sandbox's addresses.
     fn ours(&self, text: &str) -> String {
         let page = format!("{}:8737", self.address);
         let demo = format!("celld demo --bind {}", self.address);
@@ -139,7 +139,7 @@ impl Desk {
     }
 }
 
-impl Drop for Desk {
+impl Drop for Sandbox {
     fn drop(&mut self) {
         for group in self.groups.borrow().iter() {
             // A group that is over already is no fault.

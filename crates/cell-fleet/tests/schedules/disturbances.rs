@@ -2,7 +2,7 @@
 //!
 //! In: a plan of troubles, the seed. Out: crashes, cuts, disarming, cancellations, at times of their own.
 
-use super::{Happening, World};
+use super::{SimEvent, World};
 use cell_fleet::payloads::{Claim, ClaimState, VERSION, Wish};
 use cell_fleet::subjects::Key;
 use cell_fleet::values::Input;
@@ -14,66 +14,66 @@ impl World {
     pub(super) fn schedule(&mut self) {
         let plan = self.plan;
         for cell in 0..plan.cells {
-            self.at(1, Happening::Start(cell));
+            self.at(1, SimEvent::Start(cell));
         }
         for job in 0..plan.jobs {
             let ms = self.between(1, 300_000);
-            self.at(ms, Happening::Submit(job));
+            self.at(ms, SimEvent::Submit(job));
         }
         let some = |world: &mut World| world.rng.random_range(0..plan.cells);
         for index in 0..plan.crashes {
             let (cell, ms) = (some(self), self.between(1000, 600_000));
-            self.at(ms, Happening::Crash(cell));
+            self.at(ms, SimEvent::Crash(cell));
             if index >= plan.dead {
                 let back = ms + self.between(100, 120_000);
-                self.at(back, Happening::Start(cell));
+                self.at(back, SimEvent::Start(cell));
             }
         }
         for _ in 0..plan.server_crashes {
             let ms = self.between(1000, 600_000);
-            self.at(ms, Happening::ServerDown);
+            self.at(ms, SimEvent::ServerDown);
             let up = ms + self.between(100, 30_000);
-            self.at(up, Happening::ServerUp);
+            self.at(up, SimEvent::ServerUp);
         }
         for _ in 0..plan.cuts {
             let (cell, ms) = (some(self), self.between(1000, 600_000));
-            self.at(ms, Happening::Cut(cell));
+            self.at(ms, SimEvent::Cut(cell));
             let joined = ms + self.between(100, 180_000);
-            self.at(joined, Happening::Join(cell));
+            self.at(joined, SimEvent::Join(cell));
         }
         for _ in 0..plan.disarms {
             let (cell, ms) = (some(self), self.between(1000, 600_000));
-            self.at(ms, Happening::Arm(cell, false));
+            self.at(ms, SimEvent::Arm(cell, false));
             let armed = ms + self.between(100, 200_000);
-            self.at(armed, Happening::Arm(cell, true));
+            self.at(armed, SimEvent::Arm(cell, true));
         }
         for _ in 0..plan.cancels {
             let (job, ms) = (self.rng.random_range(0..plan.jobs), self.between(1, 400_000));
             let key = Key::Cancel { job: format!("job-{job}"), by: "anna".into() };
-            self.at(ms, Happening::Wished(key, wish(0)));
+            self.at(ms, SimEvent::Wished(key, wish(0)));
         }
-        self.at(1, Happening::Deliver);
+        self.at(1, SimEvent::Deliver);
     }
 
-    pub(super) fn trouble(&mut self, trouble: Happening) {
-        match trouble {
-            Happening::Crash(cell) => {
+    pub(super) fn disturbance(&mut self, disturbance: SimEvent) {
+        match disturbance {
+            SimEvent::Crash(cell) => {
                 self.disconnect(cell);
                 self.cells[cell].agent = None;
                 self.cells[cell].process += 1;
             }
-            Happening::Start(cell) if self.cells[cell].agent.is_none() => self.start(cell),
-            Happening::Cut(cell) => self.disconnect(cell),
-            Happening::Join(cell) => self.connect(cell),
-            Happening::ServerDown => {
+            SimEvent::Start(cell) if self.cells[cell].agent.is_none() => self.start(cell),
+            SimEvent::Cut(cell) => self.disconnect(cell),
+            SimEvent::Join(cell) => self.connect(cell),
+            SimEvent::ServerDown => {
                 self.up = false;
                 (0..self.cells.len()).for_each(|cell| self.disconnect(cell));
             }
-            Happening::ServerUp => {
+            SimEvent::ServerUp => {
                 self.up = true;
                 (0..self.cells.len()).for_each(|cell| self.connect(cell));
             }
-            Happening::Arm(cell, armed) => {
+            SimEvent::Arm(cell, armed) => {
                 self.cells[cell].armed = armed;
                 self.state(cell);
             }
@@ -100,7 +100,7 @@ impl World {
         }
         for (job, epoch) in stranded {
             self.given.insert(job.clone());
-            self.happen(Happening::Wished(Key::Give { job, by: "anna".into() }, wish(epoch)));
+            self.happen(SimEvent::Wished(Key::Give { job, by: "anna".into() }, wish(epoch)));
         }
     }
 }

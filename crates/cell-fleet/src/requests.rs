@@ -1,10 +1,10 @@
-//! What is asked of one cell, and what it answers: payloads of requests. Pure.
+//! What is requested of one cell, and what it answers: payloads of requests. Pure.
 
 use serde::{Deserialize, Serialize};
 
-/// Something asked of a cell; who asks says the subject.
+/// A request to a cell; the subject names who sent it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Ask {
+pub struct Request {
     /// [`crate::payloads::VERSION`].
     pub version: u32,
     /// The job it is about.

@@ -18,7 +18,7 @@ use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 
 impl Supervisor {
     /// A trouble with what to do first; what comes then depends on what is held.
-    fn trouble(&self, code: Code, message: impl Into<String>, first: &str) -> Reason {
+    fn reason_of(&self, code: Code, message: impl Into<String>, first: &str) -> Reason {
         code.because(message, format!("{first}; {}", self.then()))
     }
 
@@ -43,43 +43,43 @@ impl Supervisor {
         }
     }
 
-    fn safety_trouble(&self, mode: SafetyMode) -> Reason {
+    fn safety_reason(&self, mode: SafetyMode) -> Reason {
         let remedy = safety_remedy(mode);
         match safety_code(mode) {
             Code::ProtectiveStop => Code::ProtectiveStop.because(safety_words(mode), remedy),
-            code => self.trouble(code, safety_words(mode), remedy),
+            code => self.reason_of(code, safety_words(mode), remedy),
         }
     }
 
     /// Why an event of the robot stops the cell; `None` for those that do not.
-    pub(crate) fn fault_of(&mut self, outside: &DeviceSnapshot, event: RobotEvent) -> Option<Reason> {
+    pub(crate) fn fault_of(&mut self, devices: &DeviceSnapshot, event: RobotEvent) -> Option<Reason> {
         if let Some(reason) = self.other_robot(&event) {
             return Some(reason);
         }
         Some(match event {
-            RobotEvent::ProgramEnded { reason } => return self.program_trouble(reason),
+            RobotEvent::ProgramEnded { reason } => return self.program_reason(reason),
             RobotEvent::RuntimeException { line, column, text } => {
                 let message = format!("the on-robot program failed at line {line}, column {column}: {text}");
-                self.trouble(Code::ProgramFailed, message, "report this line, it is celld's own program")
+                self.reason_of(Code::ProgramFailed, message, "report this line, it is celld's own program")
             }
             RobotEvent::LinkSilent { link, detail } => {
                 let first = "see that the controller is on and in the network";
-                self.trouble(Code::LinkSilent, format!("{link}: {detail}"), first)
+                self.reason_of(Code::LinkSilent, format!("{link}: {detail}"), first)
             }
             RobotEvent::ProtocolFault { link, detail, .. } => {
                 let first = "see that this controller and its software are those of the README";
-                self.trouble(Code::ProtocolFault, format!("{link}: {detail}"), first)
+                self.reason_of(Code::ProtocolFault, format!("{link}: {detail}"), first)
             }
             RobotEvent::ArmStalled { detail } => {
                 let first = "see what holds the arm, and the pendant";
-                self.trouble(Code::ArmStalled, format!("the arm does not follow: {detail}"), first)
+                self.reason_of(Code::ArmStalled, format!("the arm does not follow: {detail}"), first)
             }
-            RobotEvent::RtdeLost => self.rtde_lost(outside),
+            RobotEvent::RtdeLost => self.rtde_lost(devices),
             RobotEvent::Refused { what, reply } => {
                 let message = format!("{what} was not carried out by the controller: {reply}");
-                self.trouble(Code::RobotRefused, message, "see the pendant")
+                self.reason_of(Code::RobotRefused, message, "see the pendant")
             }
-            RobotEvent::Safety { mode } if !mode.allows_motion() => self.safety_trouble(mode),
+            RobotEvent::Safety { mode } if !mode.allows_motion() => self.safety_reason(mode),
             RobotEvent::RemoteControl { on: false } => self.local_control(),
             RobotEvent::Safety { .. }
             | RobotEvent::RemoteControl { on: true }
@@ -103,80 +103,84 @@ impl Supervisor {
         })
     }
 
-    fn program_trouble(&mut self, reason: ProgramEnd) -> Option<Reason> {
+    fn program_reason(&mut self, reason: ProgramEnd) -> Option<Reason> {
         // Whatever ran before ours is stopped on the way to starting ours.
-        if matches!((&self.phase, &reason), (Phase::BringUp(_), ProgramEnd::AsAsked)) {
+        if matches!((&self.phase, &reason), (Phase::BringUp(_), ProgramEnd::AsRequested)) {
             return None;
         }
         self.nonce = None;
         let message = format!("celld's program on the robot does not run as it should: {reason}");
         Some(match reason {
             // A round, the daemon or a stop has ended it; why is said already.
-            ProgramEnd::AsAsked | ProgramEnd::StoppedByUs => return None,
+            ProgramEnd::AsRequested | ProgramEnd::StoppedByUs => return None,
             ProgramEnd::FromOutside => {
-                self.trouble(Code::ProgramStopped, message, "see who stopped it, and that the cell is safe")
+                self.reason_of(Code::ProgramStopped, message, "see who stopped it, and that the cell is safe")
             }
             ProgramEnd::Replaced => {
-                self.trouble(Code::ProgramReplaced, message, "see who else sends programs to this robot")
+                self.reason_of(Code::ProgramReplaced, message, "see who else sends programs to this robot")
             }
             ProgramEnd::HeartbeatLost => {
                 let first = "see the network, and that this computer is not overloaded";
                 match self.job_outlives_a_stop() {
                     true => Code::HeartbeatLost.because(message, first),
-                    false => self.trouble(Code::HeartbeatLost, message, first),
+                    false => self.reason_of(Code::HeartbeatLost, message, first),
                 }
             }
             ProgramEnd::LinkLost => {
                 let first = "see the network, and that no other RTDE client has taken celld's inputs \
                              (`celld recover` names those taken)";
-                self.trouble(Code::LinkLost, message, first)
+                self.reason_of(Code::LinkLost, message, first)
             }
             ProgramEnd::NotStarted(_) => {
-                self.trouble(Code::ProgramNotStarted, message, "see the pendant for the program's error")
+                self.reason_of(Code::ProgramNotStarted, message, "see the pendant for the program's error")
             }
             ProgramEnd::Rejected { .. } | ProgramEnd::Exception { .. } => {
-                self.trouble(Code::ProgramFailed, message, "report this, it is celld's own program")
+                self.reason_of(Code::ProgramFailed, message, "report this, it is celld's own program")
             }
             ProgramEnd::Overdue(_) => {
                 let first = "see the pendant, and that no other program runs";
-                self.trouble(Code::ProgramOverdue, message, first)
+                self.reason_of(Code::ProgramOverdue, message, first)
             }
         })
     }
 
-    fn rtde_lost(&self, outside: &DeviceSnapshot) -> Reason {
-        if outside.all_links_lost {
+    fn rtde_lost(&self, devices: &DeviceSnapshot) -> Reason {
+        if devices.all_links_lost {
             let message = "the controller ended all its connections: it starts anew, or was switched off";
-            return self.trouble(Code::ControllerGone, message, "wait for the controller, look at the arm");
+            return self.reason_of(Code::ControllerGone, message, "wait for the controller, look at the arm");
         }
         let message = "the connection to the controller (RTDE) is lost, and with it the sight of the arm: \
                        its program should stop by itself, keep away until the arm is seen at rest";
-        self.trouble(Code::LinkLost, message, "see the network between this computer and the controller")
+        self.reason_of(Code::LinkLost, message, "see the network between this computer and the controller")
     }
 
     fn local_control(&self) -> Reason {
         let message = "the pendant was switched to local control";
-        self.trouble(Code::LocalControl, message, "switch it back to Remote Control once nobody works at it")
+        self.reason_of(
+            Code::LocalControl,
+            message,
+            "switch it back to Remote Control once nobody works at it",
+        )
     }
 
     /// What in the robot's state forbids going on with a motion.
-    pub(crate) fn motion_trouble(&self, now: Timestamp, outside: &DeviceSnapshot) -> Option<Reason> {
-        let Some(robot) = outside.robot else {
+    pub(crate) fn motion_reason(&self, now: Timestamp, devices: &DeviceSnapshot) -> Option<Reason> {
+        let Some(robot) = devices.robot else {
             let message = "the robot has never sent a state";
-            return Some(self.trouble(Code::LinkSilent, message, "see that the controller is on"));
+            return Some(self.reason_of(Code::LinkSilent, message, "see that the controller is on"));
         };
-        if !outside.robot_fresh {
+        if !devices.robot_fresh {
             let seconds = now.since(robot.received).as_secs_f64();
             let message = format!("the robot's state stopped coming {seconds:.2} s ago");
-            Some(self.trouble(Code::LinkSilent, message, "see the network and the load of this computer"))
+            Some(self.reason_of(Code::LinkSilent, message, "see the network and the load of this computer"))
         } else if !robot.safety_mode.allows_motion() {
-            Some(self.safety_trouble(robot.safety_mode))
+            Some(self.safety_reason(robot.safety_mode))
         } else if robot.robot_mode != RobotMode::Running {
             let message = format!("the arm is not ready any more: {}", mode_words(robot.robot_mode));
-            Some(self.trouble(Code::PowerSwitched, message, "see who switched its power or brakes"))
+            Some(self.reason_of(Code::PowerSwitched, message, "see who switched its power or brakes"))
         } else if robot.guided {
             let message = "a person holds the freedrive button";
-            Some(self.trouble(Code::HandGuided, message, "let go of it and stand clear"))
+            Some(self.reason_of(Code::HandGuided, message, "let go of it and stand clear"))
         } else if robot.remote_control == Some(false) {
             Some(self.local_control())
         } else {
@@ -185,14 +189,14 @@ impl Supervisor {
     }
 
     /// A motion that was held for too long.
-    pub(crate) fn held_too_long(&self, outside: &DeviceSnapshot) -> Reason {
-        let paused = outside.robot.is_some_and(|robot| robot.runtime_state != RuntimeState::Playing);
-        if paused || motion_speed(outside) > 0.0 {
+    pub(crate) fn held_too_long(&self, devices: &DeviceSnapshot) -> Reason {
+        let paused = devices.robot.is_some_and(|robot| robot.runtime_state != RuntimeState::Playing);
+        if paused || motion_speed(devices) > 0.0 {
             let message = "the program was paused for too long: the table may have changed";
-            self.trouble(Code::PausedTooLong, message, "see that the cell is safe")
+            self.reason_of(Code::PausedTooLong, message, "see that the cell is safe")
         } else {
             let message = "the speed slider was at zero for too long: the table may have changed";
-            self.trouble(Code::SpeedZero, message, "raise the slider at the pendant")
+            self.reason_of(Code::SpeedZero, message, "raise the slider at the pendant")
         }
     }
 }

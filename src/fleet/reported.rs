@@ -135,9 +135,9 @@ mod tests {
             unix_s: 1.0,
         };
         let planned = Status { job: Some("a".into()), plan: Some(plan), step: Some((0, 2)), ..idle() };
-        let told = events(&idle(), &planned);
+        let reported = events(&idle(), &planned);
         assert!(
-            matches!(&told[..], [(Some(job), What::Planned { moves: 0, waits: false, .. })] if job == "a")
+            matches!(&reported[..], [(Some(job), What::Planned { moves: 0, waits: false, .. })] if job == "a")
         );
         let stepped = Status { step: Some((1, 2)), ..planned.clone() };
         assert_eq!(events(&planned, &stepped), [(Some("a".to_string()), What::Step { step: 1, of: 2 })]);
@@ -145,9 +145,9 @@ mod tests {
         let stopped =
             Stopped { code: "vacuum_lost".into(), message: "mug was lost".into(), hint: String::new() };
         let stopped = Status { stopped: Some(stopped), job: None, step: None, plan: None, ..idle() };
-        let told = events(&stepped, &stopped);
+        let reported = events(&stepped, &stopped);
         assert!(
-            matches!(&told[..], [(Some(job), What::Fault { code, .. })] if job == "a" && code == "vacuum_lost")
+            matches!(&reported[..], [(Some(job), What::Fault { code, .. })] if job == "a" && code == "vacuum_lost")
         );
     }
 

@@ -42,7 +42,7 @@ const GIVEN_UP_AFTER_S: f64 = 3.0;
 
 /// How the cell sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Eye {
+pub enum SightKind {
     /// Rendered pictures and the real detector.
     Pictures,
     /// Corners with noise.
@@ -83,7 +83,7 @@ pub struct RoundPicture {
 }
 
 /// Camera and perception. See the module.
-pub struct Eyes {
+pub struct CameraView {
     setup: CameraSetup,
     sight: Sight,
     rng: ChaCha8Rng,
@@ -104,28 +104,28 @@ pub struct Seen {
     pub evaluation_s: f64,
 }
 
-impl Eyes {
+impl CameraView {
     /// Eyes of this kind for a stage.
     ///
     /// # Errors
     /// The detector cannot be made.
-    pub fn new(eye: Eye, stage: &Stage, seed: u64) -> Result<Eyes, String> {
+    pub fn new(eye: SightKind, stage: &Stage, seed: u64) -> Result<CameraView, String> {
         let (setup, scene) = (stage.camera.clone(), stage.scene.clone());
         let sight = match eye {
-            Eye::Pictures => {
+            SightKind::Pictures => {
                 let renderer = Renderer::new(setup.truth.clone());
                 let perception =
                     Perception::new(scene, DetectSettings::default()).map_err(|error| error.to_string())?;
                 Sight::Pictures(Box::new((renderer, perception)))
             }
-            Eye::Corners => {
+            SightKind::Corners => {
                 let numbers = (0..587).filter_map(|id| tag36h11_bitmap(id).map(|cells| (cells, id)));
                 Sight::Corners(Box::new((scene, numbers.collect())))
             }
         };
         let rng = ChaCha8Rng::seed_from_u64(seed ^ 0x6579_6573);
         let (depth, pictures) = (stage.depth, Vec::new());
-        Ok(Eyes { setup, sight, rng, frames: 0, task: None, flipped: false, depth, pictures })
+        Ok(CameraView { setup, sight, rng, frames: 0, task: None, flipped: false, depth, pictures })
     }
 
     /// Takes `frames` frames from now on; a look that was under way is forgotten.
