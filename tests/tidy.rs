@@ -219,6 +219,11 @@ fn things_do_not_act_like_persons() {
 }
 
 #[test]
+fn public_functions_name_their_errors() {
+    none(tree::rust_files().iter().flat_map(rules::unnamed_errors).collect());
+}
+
+#[test]
 fn files_import_in_no_circle() {
     let sources = tree::sources();
     none(tree::by_crate(&sources).iter().flat_map(|files| imports::circles(files)).collect());

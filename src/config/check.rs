@@ -7,6 +7,7 @@
 use crate::config::calibration::check_board;
 use crate::config::cell::{Devices, MotionLimits};
 use crate::config::parts::CellParts;
+use crate::config::sessions::HELD_SHARE;
 use cell_calibration::drawn::CameraMount;
 use cell_machine::supervisor::model::ForeignRule;
 use cell_motion::holding::{LEAST_ACCELERATION, Lip, Offset, Suction};
@@ -291,9 +292,6 @@ fn check_weight(
         decoder.complain(at, path, message, "use larger or more cups, or a higher vacuum_min");
     }
 }
-
-/// Share of `vacuum_min` below which an object counts as lost: what is held at it is held for as long.
-pub const HELD_SHARE: f64 = 0.8;
 
 /// The gripper's cups together, at the least vacuum with which an object counts as held.
 pub fn suction(gripper: &GripperConfig) -> Suction {

@@ -4,7 +4,6 @@
 //! gripper by.
 
 use crate::config::cell::{CellConfig, Devices};
-use crate::config::check::HELD_SHARE;
 use cell_machine::device::gripper_types::GripperParameters;
 use cell_machine::device::robot_types::{RobotParameters, STALE_AFTER};
 use cell_machine::machine::MachineParameters;
@@ -22,6 +21,9 @@ pub fn machine_parameters(config: &CellConfig, nonce_seed: u64) -> MachineParame
     let robot = RobotParameters { frequency_hz: RTDE_HZ, stale_after, ..RobotParameters::full_rate() };
     MachineParameters { robot, gripper: gripper_parameters(config), nonce_seed }
 }
+
+/// Share of `vacuum_min` below which an object counts as lost: what is held at it is held for as long.
+pub const HELD_SHARE: f64 = 0.8;
 
 /// The gripper session's thresholds.
 pub fn gripper_parameters(config: &CellConfig) -> GripperParameters {

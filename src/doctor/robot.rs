@@ -5,7 +5,7 @@
 
 use crate::doctor::{Area, Line};
 use cell_machine::device::robot_types::{InputsTaken, Link, RobotState};
-use cell_machine::supervisor::safety_words::{mode_words, safety_remedy, safety_words};
+use cell_machine::supervisor::safety_words::{mode_words, safety_hint, safety_words};
 use cell_values::time::Duration;
 use ur_arm::kinematics::{DhParameters, model_of};
 use ur_wire::enumerations::{RobotMode, SafetyMode};
@@ -265,7 +265,7 @@ fn safety_line(mode: SafetyMode) -> Line {
     if mode.allows_motion() {
         return ok("safety", format!("mode {mode}"));
     }
-    problem("safety", safety_words(mode), safety_remedy(mode))
+    problem("safety", safety_words(mode), safety_hint(mode))
 }
 
 fn arm_line(mode: RobotMode) -> Line {

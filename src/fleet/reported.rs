@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn plan_steps_and_stops_are_told_once() {
+    fn plan_steps_and_stops_are_reported_once() {
         let plan = PlanRecord {
             number: 1,
             steps: Vec::new(),

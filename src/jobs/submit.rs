@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn the_id_told_is_the_id_given() {
+    fn the_id_reported_is_the_id_given() {
         let (reported, given) = ids("version: 1\ngoal: {objects: [{id: a, pose: [0, 0, 0]}]}\n");
         assert_eq!(reported, given);
         assert!(reported.starts_with("20261121T080000Z-tidy_up-"), "{reported}");

@@ -225,8 +225,9 @@ pub async fn with_role(
         );
     };
     if person.grant.role < least {
-        let message = format!("this takes the role {least:?}; yours is {:?}", person.grant.role.as_str());
-        return refuse(&request, StatusCode::FORBIDDEN, &message.replace("Role::", ""));
+        let (least, has) = (least.as_str(), person.grant.role.as_str());
+        let message = format!("this takes the role {least}; yours is {has}");
+        return refuse(&request, StatusCode::FORBIDDEN, &message);
     }
     request.extensions_mut().insert(person);
     request.extensions_mut().insert(via);

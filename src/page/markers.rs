@@ -25,6 +25,9 @@ pub struct Prints {
 }
 
 /// Markers for the printer.
+///
+/// # Errors
+/// The refusal, as the API answers it.
 pub async fn markers(Query(Prints { ids, size_mm, paper }): Query<Prints>) -> Result<Response, Refused> {
     let wrong = |message: &str| Refused::new(StatusCode::UNPROCESSABLE_ENTITY, message);
     let ids: Result<Vec<u32>, _> = ids.split(',').map(|id| id.trim().parse()).collect();

@@ -14,6 +14,9 @@ use axum::http::header::CONTENT_SECURITY_POLICY;
 use axum::response::{Html, IntoResponse, Response};
 
 /// `GET /api/v1/jobs/{id}/report`
+///
+/// # Errors
+/// The refusal, as the API answers it.
 pub async fn report(State(app): State<App>, Path(id): Path<String>) -> Result<Response, Refused> {
     let page = beside(move || -> Result<String, Refused> {
         let (journal, job, steps) = known(&app, &id)?;
@@ -27,6 +30,9 @@ pub async fn report(State(app): State<App>, Path(id): Path<String>) -> Result<Re
 }
 
 /// `GET /api/v1/jobs/{id}/playback`
+///
+/// # Errors
+/// The refusal, as the API answers it.
 pub async fn playback(State(app): State<App>, Path(id): Path<String>) -> Result<Response, Refused> {
     let Ok(place) = app.planning.clone().try_acquire_owned() else {
         let message = "another recording is being read, or a plan made; try again";

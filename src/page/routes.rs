@@ -3,7 +3,7 @@
 
 use crate::page::calibration::steps;
 use crate::page::shared::App;
-use crate::page::{assets, film, guard, live, markers, metrics, records, session, work};
+use crate::page::{assets, film, guard, live, markers, metrics, records, session, shift, work};
 use axum::Router;
 use axum::extract::{DefaultBodyLimit, Path, State};
 use axum::handler::Handler;
@@ -189,7 +189,7 @@ fn work_routes(r: &mut Routes) {
         ),
         work::file,
     );
-    r.add(get("/api/v1/shift", View, "Counts and throughput since a time (since)"), work::shift);
+    r.add(get("/api/v1/shift", View, "Counts and throughput since a time (since)"), shift::shift);
     r.add(
         post(
             "/api/v1/preview",

@@ -196,7 +196,7 @@ fn may_order(app: &Shared, order: &Order, ordered: &Ordered, giver: &Giver) -> R
     let Giver { person, via, peer } = *giver;
     let least = order.least_role();
     if person.grant.role < least {
-        return Err((StatusCode::FORBIDDEN, format!("this order takes the role {least:?}").to_lowercase()));
+        return Err((StatusCode::FORBIDDEN, format!("this order takes the role {}", least.as_str())));
     }
     if order.only_stops() {
         return Ok(());
@@ -224,7 +224,18 @@ fn may_order(app: &Shared, order: &Order, ordered: &Ordered, giver: &Giver) -> R
             let message = "say which plan is agreed to: its `number`, as in the status, as `plan`";
             return Err((StatusCode::BAD_REQUEST, message.into()));
         }
-        _ => {}
+        Order::Arm
+        | Order::Disarm
+        | Order::Cancel(_)
+        | Order::Pause
+        | Order::Resume
+        | Order::Step
+        | Order::Abort
+        | Order::Park
+        | Order::Release(_)
+        | Order::Recover(_)
+        | Order::ConfirmGripper
+        | Order::Calibrate => {}
     }
     let taken = app.control().take(&person.session, &person.grant.name, false, Instant::now());
     taken.map_err(|held| (StatusCode::CONFLICT, held.to_string()))

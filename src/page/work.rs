@@ -10,7 +10,7 @@ use crate::jobs::goal::{GoalEntry, find_goal_file, parse_goal_file, read_goal_fi
 use crate::jobs::history::{JobFilter, since, story};
 use crate::jobs::job_file::read_job;
 use crate::jobs::journal::Journal;
-use crate::jobs::record::{GoalPose, JobRecord, JobResult, JobSpec, JobState, StepRecord, quoted};
+use crate::jobs::record::{GoalPose, JobRecord, JobSpec, StepRecord, quoted};
 use crate::jobs::spool::is_plain_name;
 use crate::jobs::submit::{Found, Handed, hand_in, look, prepare};
 use crate::page::access::Person;
@@ -26,9 +26,7 @@ use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
 use cell_edge::clock::unix_now_s;
 use cell_edge::files::{read_bytes, write_atomic, write_new};
-use cell_machine::code::JobStatus;
 use cell_machine::supervisor::draft::{Draft, Glimpse, NoDraft, draft};
-use cell_machine::times::Use;
 use cell_values::time::Duration;
 use rearrange::document::chain::chain;
 use serde::Deserialize;
@@ -59,7 +57,7 @@ pub(super) async fn beside<T: Send + 'static>(
         .map_err(|_| Refused::fault("this is a fault of celld; see its log"))
 }
 
-fn journal(app: &Shared) -> Result<Option<Journal>, Refused> {
+pub(super) fn journal(app: &Shared) -> Result<Option<Journal>, Refused> {
     let path = app.state.journal();
     if !path.exists() {
         return Ok(None);
@@ -78,7 +76,7 @@ pub struct Wanted {
 }
 
 impl Wanted {
-    fn filter(&self) -> Result<JobFilter, Refused> {
+    pub(super) fn filter(&self) -> Result<JobFilter, Refused> {
         let since_unix_s = match self.since.as_deref().map(|text| since(text, unix_now_s())) {
             Some(None) => {
                 let message = "since: write 90s, 30m, 12h, 2d or 1w, or a date such as 2026-11-21";
@@ -92,6 +90,9 @@ impl Wanted {
 }
 
 /// Jobs, the newest first.
+///
+/// # Errors
+/// The refusal, as the API answers it.
 pub async fn jobs(State(app): State<App>, Query(wanted): Query<Wanted>) -> Result<Response, Refused> {
     let filter = wanted.filter()?;
     let last = wanted.last.unwrap_or(50).min(JOBS_MAX);
@@ -137,6 +138,9 @@ const FILES: [(&str, &str); 3] =
     [("plan.svg", "image/svg+xml"), ("plan.jpg", "image/jpeg"), ("end.jpg", "image/jpeg")];
 
 /// `GET /api/v1/jobs/{id}`
+///
+/// # Errors
+/// The refusal, as the API answers it.
 pub async fn job(State(app): State<App>, Path(id): Path<String>) -> Result<Response, Refused> {
     let body = beside(move || -> Result<Value, Refused> {
         let (journal, job, steps) = known(&app, &id)?;
@@ -171,6 +175,9 @@ pub(super) fn recordings(app: &Shared, id: &str) -> Vec<PathBuf> {
 }
 
 /// `GET /api/v1/jobs/{id}/files/{name}`
+///
+/// # Errors
+/// The refusal, as the API answers it.
 pub async fn file(
     State(app): State<App>,
     Path((id, name)): Path<(String, String)>,
@@ -184,46 +191,6 @@ pub async fn file(
     });
     let bytes = bytes.await??.ok_or_else(absent)?;
     Ok(([(CONTENT_TYPE, kind)], bytes).into_response())
-}
-
-/// Jobs of longer ago are not counted, s: the records of all of them are read.
-const COUNTED_S: f64 = 31.0 * 24.0 * 3600.0;
-
-/// `GET /api/v1/shift`
-pub async fn shift(State(app): State<App>, Query(wanted): Query<Wanted>) -> Result<Response, Refused> {
-    let begun = wanted.filter()?.since_unix_s.unwrap_or_else(|| unix_now_s() - 8.0 * 3600.0);
-    if begun < unix_now_s() - COUNTED_S {
-        return Err(Refused::new(StatusCode::BAD_REQUEST, "`since` goes back 31 days at most"));
-    }
-    let body = beside(move || -> Result<Value, Refused> {
-        let filter = JobFilter { since_unix_s: Some(begun), ..JobFilter::default() };
-        let jobs = match journal(&app)? {
-            Some(journal) => {
-                journal.search(&filter, u32::MAX).map_err(|error| Refused::fault(chain(&error)))?
-            }
-            None => Vec::new(),
-        };
-        Ok(counts(&jobs, begun, unix_now_s()))
-    });
-    Ok(Json(body.await??).into_response())
-}
-
-/// The work since `begun` (s since 1970); an hour counts from the first job on, and a move takes no time in
-/// which a person or a gate was waited for.
-fn counts(jobs: &[JobRecord], begun: f64, now: f64) -> Value {
-    let of = |status| jobs.iter().filter(|job| job.state == JobState::Ended(status)).count();
-    let results = || jobs.iter().filter_map(|job| job.result.as_ref());
-    let moves: u64 = results().map(|result| u64::from(result.moves)).sum();
-    let waited = |result: &JobResult| result.times.get(Use::Waiting.as_str()).copied().unwrap_or(0.0);
-    let busy_s: f64 = results().map(|result| (result.seconds - waited(result)).max(0.0)).sum();
-    let first = jobs.iter().map(|job| job.claimed_unix_s).fold(now, f64::min).max(begun);
-    let hours = ((now - first) / 3600.0).max(1e-3);
-    json!({
-        "since_unix_s": begun, "hours": hours, "done": of(JobStatus::Done), "failed": of(JobStatus::Failed),
-        "cancelled": of(JobStatus::Cancelled), "interrupted": of(JobStatus::Interrupted), "moves": moves,
-        "moves_per_hour": moves as f64 / hours, "busy_share": (busy_s / (now - begun).max(1.0)).min(1.0),
-        "seconds_per_move": (moves > 0).then(|| busy_s / moves as f64),
-    })
 }
 
 /// A job as in a job file.
@@ -251,6 +218,9 @@ fn read(app: &Shared, text: &str) -> Result<JobSpec, Refused> {
 }
 
 /// Submits a job and waits for the verdict.
+///
+/// # Errors
+/// The refusal, as the API answers it.
 pub async fn submit(
     State(app): State<App>,
     Extension(person): Extension<Person>,
@@ -295,6 +265,9 @@ fn verdict(app: &Shared, handed: &Handed) -> Result<Response, Refused> {
 }
 
 /// Plans for a job that is not submitted.
+///
+/// # Errors
+/// The refusal, as the API answers it.
 pub async fn preview(
     State(app): State<App>,
     body: Result<Json<JobText>, JsonRejection>,
@@ -330,14 +303,15 @@ fn planned(app: &Shared, text: &str) -> Result<Value, Refused> {
     let age = Duration::from_secs_f64((unix_now_s() - sight.unix_s).max(0.0));
     let last = Glimpse { seen: &sight.seen, whole: sight.whole, age };
     let made = draft(known.model.clone(), &order, last, &over, &|| started.elapsed().as_secs_f64());
-    let Draft { plan, goals, doubt } = made.map_err(|NoDraft { code, message, hint }| {
+    let Draft { plan, goals, rejection } = made.map_err(|NoDraft { code, message, hint }| {
         Refused::new(StatusCode::CONFLICT, message).with(code.to_string(), hint)
     })?;
     let plan = plan_files::record_of(&plan, unix_now_s());
-    let doubt =
-        doubt.map(|doubt| json!({ "code": doubt.code, "message": doubt.message, "hint": doubt.hint }));
+    let rejection = rejection.map(
+        |rejection| json!({ "code": rejection.code, "message": rejection.message, "hint": rejection.hint }),
+    );
     Ok(json!({
-        "plan": plan, "buffers": plan.buffers(), "summary": plan.summary(), "goals": poses(&goals), "doubt": doubt,
+        "plan": plan, "buffers": plan.buffers(), "summary": plan.summary(), "goals": poses(&goals), "doubt": rejection,
     }))
 }
 
@@ -352,6 +326,9 @@ pub struct Drafted {
 }
 
 /// What is wrong with goals.
+///
+/// # Errors
+/// The refusal, as the API answers it.
 pub async fn check(
     State(app): State<App>,
     body: Result<Json<Drafted>, JsonRejection>,
@@ -372,6 +349,9 @@ pub async fn check(
 }
 
 /// `GET /api/v1/goals`
+///
+/// # Errors
+/// The refusal, as the API answers it.
 pub async fn goals(State(app): State<App>) -> Result<Response, Refused> {
     let names = beside(move || {
         let entries = std::fs::read_dir(&app.cell.goal_folder).into_iter().flatten().flatten();
@@ -403,6 +383,9 @@ fn goal_of(app: &Shared, name: &str) -> Result<Vec<GoalPose>, String> {
 }
 
 /// `GET /api/v1/goals/{name}`
+///
+/// # Errors
+/// The refusal, as the API answers it.
 pub async fn goal(State(app): State<App>, Path(name): Path<String>) -> Result<Response, Refused> {
     let found = beside(move || goal_of(&app, &name)).await?;
     let objects = found.map_err(|reason| Refused::new(StatusCode::NOT_FOUND, reason))?;
@@ -420,6 +403,9 @@ pub struct GoalFile {
 }
 
 /// Saves a goal file that a job can name.
+///
+/// # Errors
+/// The refusal, as the API answers it.
 pub async fn save_goal(
     State(app): State<App>,
     Extension(person): Extension<Person>,

@@ -183,6 +183,14 @@ fn wide_comments_are_flagged_and_wide_code_is_not() {
 }
 
 #[test]
+fn results_without_a_word_on_their_errors_are_flagged() {
+    let found = |text: &str| rules::unnamed_errors(&File::planted("src/a.rs", text));
+    flagged(found("/// Reads.\npub fn read(\n    text: &str,\n) -> Result<u8, E> {\n}"), &["src/a.rs:2"]);
+    flagged(found("/// # Errors\n/// None.\n#[inline]\npub async fn read() -> Result<u8, E> {}"), &[]);
+    flagged(found("pub fn read() -> u8 {}\nfn inner() -> Result<u8, E> {}"), &[]);
+}
+
+#[test]
 fn things_that_act_like_persons_are_flagged() {
     let found = |path: &str, text: &str| rules::persons_words(&File::planted(path, text));
     flagged(

@@ -424,6 +424,32 @@ pub fn persons_words(file: &File) -> Vec<String> {
     file.text.lines().enumerate().filter_map(found).collect()
 }
 
+/// Public functions that return a `Result` and do not say when it is an error. Clippy sees only those that
+/// other crates reach.
+pub fn unnamed_errors(file: &File) -> Vec<String> {
+    if !file.path.ends_with(".rs") || file.path.contains("/tests") || file.path.starts_with("tests/") {
+        return Vec::new();
+    }
+    let code = scan::blank_comments_and_literals(&file.text);
+    let (code, lines): (Vec<&str>, Vec<&str>) = (code.lines().collect(), file.text.lines().collect());
+    let found = |(number, line): (usize, &&str)| {
+        let line = line.trim_start();
+        let named = line.strip_prefix("pub fn ").or_else(|| line.strip_prefix("pub async fn "))?;
+        let end = code[number..]
+            .iter()
+            .position(|line| line.contains(['{', ';']))
+            .map_or(code.len(), |more| number + more + 1);
+        let signature = code[number..end].join(" ");
+        let above = lines[..number].iter().rev().map(|line| line.trim_start());
+        let mut docs = above.take_while(|line| line.starts_with("///") || line.starts_with("#["));
+        let returns = signature.rsplit_once("->").map_or("", |(_, returned)| returned.trim_start());
+        let silent = returns.starts_with("Result<") && !docs.any(|line| line.starts_with("/// # Errors"));
+        let name = named.split(|c: char| !(c.is_alphanumeric() || c == '_')).next().unwrap_or_default();
+        silent.then(|| format!("{}:{}: `{name}` does not say when it is an error", file.path, number + 1))
+    };
+    code.iter().enumerate().filter_map(found).collect()
+}
+
 /// For each line of a Python file, whether it belongs to a text in three quotes.
 fn docstring_lines(text: &str) -> Vec<bool> {
     let mut inside = false;

@@ -209,7 +209,7 @@ def test_offsets_keep_the_ports_of_robots_apart(robot):
     assert len(taken) == len(set(taken))
 
 
-def test_programs_are_told_what_they_request(robot):
+def test_programs_get_what_they_request(robot):
     robot.power_on()
     assert robot.requested() is None
     script = 'def ask():\n n = request_integer_from_primary_client("How many?")\n write_output_integer_register(3, n)\nend\n'

@@ -207,7 +207,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn old_servers_are_told_by_their_version() {
+    fn old_servers_are_recognised_by_their_version() {
         for good in ["2.11.0", "2.15.1", "v3.0.0", "2.12.0-RC.1"] {
             assert_eq!(check_version(good), Ok(()), "{good}");
         }

@@ -461,7 +461,7 @@ mod tests {
     }
 
     #[test]
-    fn what_belongs_to_others_is_told_by_its_subject() {
+    fn what_belongs_to_others_is_recognised_by_its_subject() {
         let fault = |subject: &str| fleet().read_job(subject).unwrap_err();
         let other = fault("celld.v1.works.job.label.any.normal.anna");
         assert_eq!(

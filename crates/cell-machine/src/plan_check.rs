@@ -50,7 +50,7 @@ pub struct OutOfReach {
     /// In words, with the object's name.
     pub message: String,
     /// What a person can do about it.
-    pub remedy: Cow<'static, str>,
+    pub hint: Cow<'static, str>,
 }
 
 impl PlanLimits {
@@ -135,7 +135,7 @@ impl PlanLimits {
     fn out_of_reach(&self, object: usize, what: &str, fault: &PathFault) -> OutOfReach {
         let name = self.objects[object].object.clone();
         let message = format!("{name} cannot be moved ({what}): {fault}");
-        OutOfReach { object, name, buffer: None, message, remedy: fault.remedy().into() }
+        OutOfReach { object, name, buffer: None, message, hint: fault.hint().into() }
     }
 }
 

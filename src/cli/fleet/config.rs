@@ -91,6 +91,8 @@ pub struct WithdrawArgs {
     reach: ReachArgs,
 }
 
+/// # Errors
+/// One sentence for the terminal: what is wrong with the arguments, the server or the answer.
 pub async fn run(command: &ConfigCommand) -> Result<(), Failure> {
     match command {
         ConfigCommand::Show(args) => show(args).await,

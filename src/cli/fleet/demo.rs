@@ -63,6 +63,8 @@ pub struct DemoArgs {
     keep: bool,
 }
 
+/// # Errors
+/// One sentence for the terminal: what is wrong with the arguments, the server or the answer.
 pub async fn demo(args: &DemoArgs, stop: &AtomicBool) -> Result<(), Failure> {
     let program = nats_program(args.nats_server.as_deref()).map_err(Failure::Usage)?;
     let cells = (0..args.cells).map(|number| DemoCell::new(number, args.bind, &args.out));

@@ -57,6 +57,8 @@ pub struct MetricsArgs {
     reach: ReachArgs,
 }
 
+/// # Errors
+/// One sentence for the terminal: what is wrong with the arguments, the server or the answer.
 pub async fn export(args: &ExportArgs) -> Result<(), Failure> {
     let from = match &args.since {
         None => f64::MIN,
@@ -142,6 +144,8 @@ fn csv(claims: &[&Claim]) -> String {
     text
 }
 
+/// # Errors
+/// One sentence for the terminal: what is wrong with the arguments, the server or the answer.
 pub async fn metrics(args: &MetricsArgs) -> Result<(), Failure> {
     let client = args.reach.client().await?;
     let (cells, queued) = (client.cells().await?, client.queued().await?);

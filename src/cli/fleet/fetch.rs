@@ -37,6 +37,8 @@ fn kind(word: &str) -> Result<FileKind, String> {
     FileKind::of(word).ok_or_else(|| format!("write one of {}", known()))
 }
 
+/// # Errors
+/// One sentence for the terminal: what is wrong with the arguments, the server or the answer.
 pub async fn fetch(args: &FetchArgs) -> Result<(), Failure> {
     if !is_job_id(&args.job) {
         return Err(Failure::Usage(format!("{:?} is no id of a job", args.job)));

@@ -68,6 +68,8 @@ pub struct ForgetArgs {
     reach: ReachArgs,
 }
 
+/// # Errors
+/// One sentence for the terminal: what is wrong with the arguments, the server or the answer.
 pub async fn forget(args: &ForgetArgs) -> Result<(), Failure> {
     let client = args.reach.client().await?;
     client.forget(&args.cell).await?;
@@ -84,10 +86,14 @@ async fn waits_at(client: &Client, job: &str) -> Result<String, Failure> {
     })
 }
 
+/// # Errors
+/// One sentence for the terminal: what is wrong with the arguments, the server or the answer.
 pub async fn approve(args: &ApproveArgs) -> Result<(), Failure> {
     decide(&args.decide, RequestKind::Approve, Some(args.plan)).await
 }
 
+/// # Errors
+/// One sentence for the terminal: what is wrong with the arguments, the server or the answer.
 pub async fn reject(args: &DecideArgs) -> Result<(), Failure> {
     decide(args, RequestKind::Reject, None).await
 }
@@ -109,6 +115,8 @@ async fn decide(args: &DecideArgs, requested: RequestKind, plan: Option<u64>) ->
     }
 }
 
+/// # Errors
+/// One sentence for the terminal: what is wrong with the arguments, the server or the answer.
 pub async fn cancel(args: &JobArgs) -> Result<(), Failure> {
     let client = args.reach.client().await?;
     let said = client.cancel(&args.job).await?;
@@ -116,6 +124,8 @@ pub async fn cancel(args: &JobArgs) -> Result<(), Failure> {
     Ok(())
 }
 
+/// # Errors
+/// One sentence for the terminal: what is wrong with the arguments, the server or the answer.
 pub async fn give(args: &GiveArgs) -> Result<(), Failure> {
     if let Some(to) = &args.to
         && Target::parse(to).is_none()
@@ -129,6 +139,8 @@ pub async fn give(args: &GiveArgs) -> Result<(), Failure> {
     Ok(())
 }
 
+/// # Errors
+/// One sentence for the terminal: what is wrong with the arguments, the server or the answer.
 pub async fn why(args: &JobArgs) -> Result<(), Failure> {
     let client = args.reach.client().await?;
     let story = client.why(&args.job).await?;

@@ -21,6 +21,8 @@ pub struct PageArgs {
     reach: ReachArgs,
 }
 
+/// # Errors
+/// One sentence for the terminal: what is wrong with the arguments, the server or the answer.
 pub async fn page(args: &PageArgs, stop: &AtomicBool) -> Result<(), Failure> {
     let client = args.reach.client().await?;
     let page = FleetPage::start(args.listen).map_err(Failure::Usage)?;

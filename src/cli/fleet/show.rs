@@ -59,6 +59,8 @@ pub async fn now_s(client: &Client) -> f64 {
     client.server_unix_s().await.unwrap_or_else(|_| unix_now_s())
 }
 
+/// # Errors
+/// One sentence for the terminal: what is wrong with the arguments, the server or the answer.
 pub async fn status(args: &StatusArgs) -> Result<(), Failure> {
     let client = args.reach.client().await?;
     let (cells, queued) = (client.cells().await?, client.queued().await?);
@@ -114,6 +116,8 @@ fn line(Shown { name, state, unix_s }: &Shown, now: f64) -> String {
     text
 }
 
+/// # Errors
+/// One sentence for the terminal: what is wrong with the arguments, the server or the answer.
 pub async fn jobs(args: &JobsArgs) -> Result<(), Failure> {
     let client = args.reach.client().await?;
     let (claims, cells, queued) = (client.claims().await?, client.cells().await?, client.queued().await?);
@@ -146,6 +150,8 @@ fn claim_line(claim: &Claim, seen: &BTreeMap<&str, f64>, now: f64) -> String {
     )
 }
 
+/// # Errors
+/// One sentence for the terminal: what is wrong with the arguments, the server or the answer.
 pub async fn watch(args: &WatchArgs, stop: &AtomicBool) -> Result<(), Failure> {
     let client = args.reach.client().await?;
     let mut events = client.watch().await?;

@@ -74,6 +74,8 @@ fn payload(id: &str, spec: &JobSpec, campaign: Option<&str>) -> Result<Job, Fail
     Ok(job)
 }
 
+/// # Errors
+/// One sentence for the terminal: what is wrong with the arguments, the server or the answer.
 pub async fn submit(args: &SubmitArgs) -> Result<(), Failure> {
     let (id, spec) = whole_job(&args.job)?;
     let priority = match &args.priority {

@@ -25,6 +25,8 @@ pub(super) struct Pictures {
 }
 
 impl Pictures {
+    /// # Errors
+    /// The detector cannot be made, in words.
     pub fn new() -> Result<Pictures, DetectError> {
         let detector = Detector::new(DetectSettings::default())?;
         Ok(Pictures { detector, last: None, searched: 0, changed: 0, largest_px: 0.0, text: String::new() })

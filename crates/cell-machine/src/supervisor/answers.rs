@@ -64,8 +64,12 @@ impl Supervisor {
             }
             _ if self.mode.paused() => "armed; a pause is in force, `celld resume` ends it",
             Phase::Look(_) => "armed: the arm moves to look at the table now",
-            _ if self.round.is_some() || self.job.is_some() => "armed: the job goes on now",
-            _ => "armed; nothing moves until there is a job",
+            Phase::Ready | Phase::Plan | Phase::Recover(_) | Phase::Visit(_) => {
+                match self.round.is_some() || self.job.is_some() {
+                    true => "armed: the job goes on now",
+                    false => "armed; nothing moves until there is a job",
+                }
+            }
         };
         now.to_string()
     }
@@ -102,7 +106,17 @@ impl Supervisor {
             (Phase::Look(_), _) => {
                 "approved: the arm looks at the table now, then carries the plan out".to_string()
             }
-            _ => "approved: the arm carries the plan out now".to_string(),
+            (
+                Phase::Ready
+                | Phase::BringUp(_)
+                | Phase::Plan
+                | Phase::Approve
+                | Phase::Work(_)
+                | Phase::Park
+                | Phase::Recover(_)
+                | Phase::Visit(_),
+                _,
+            ) => "approved: the arm carries the plan out now".to_string(),
         }
     }
 

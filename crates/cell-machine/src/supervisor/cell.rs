@@ -307,7 +307,7 @@ impl Supervisor {
             grip_failures: 0,
             look_failures: 0,
             stops: 0,
-            doubt: None,
+            rejection: None,
             gone: Vec::new(),
             absent_reported: false,
             last_seen: Vec::new(),

@@ -42,7 +42,7 @@ pub struct Draft {
     /// Where each object with a goal is wanted.
     pub goals: Vec<(String, Pose2)>,
     /// What the cell would refuse the job for if it saw the same again.
-    pub doubt: Option<NoDraft>,
+    pub rejection: Option<NoDraft>,
 }
 
 /// The table as it was seen last.
@@ -81,6 +81,6 @@ pub fn draft(
     let route = route.ok_or_else(|| {
         Code::NoPlan.because("the plan names what was not seen", "look again, then try again")
     })?;
-    let doubt = planner.doubt_of_sight(seen, whole).map(NoDraft::from);
-    Ok(Draft { plan: planner.plan_note(&route, *lower_bound, seen, Some(age)), goals, doubt })
+    let rejection = planner.rejection_of_sight(seen, whole).map(NoDraft::from);
+    Ok(Draft { plan: planner.plan_note(&route, *lower_bound, seen, Some(age)), goals, rejection })
 }

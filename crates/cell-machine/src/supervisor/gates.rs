@@ -7,7 +7,7 @@
 use crate::device::program::Nonce;
 use crate::device::robot_types::Link;
 use crate::supervisor::input::DeviceSnapshot;
-use crate::supervisor::safety_words::{mode_words, safety_remedy, safety_words};
+use crate::supervisor::safety_words::{mode_words, safety_hint, safety_words};
 use serde::{Deserialize, Serialize};
 use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 
@@ -29,7 +29,7 @@ impl GateClosed {
                 "see that the controller is on and in the network: `devices.robot` in the configuration, \
                  `ping` it"
             }
-            GateClosed::Safety(mode) => safety_remedy(*mode),
+            GateClosed::Safety(mode) => safety_hint(*mode),
             GateClosed::Mode(_) => {
                 "see the pendant: a controller that starts or is updated takes its time, a new safety \
                  configuration is confirmed there, and so is backdrive ended; then `celld arm`"

@@ -24,15 +24,15 @@ impl Supervisor {
             .other_identity(event)
             .or_else(|| self.other_safety_configuration(event))
             .or_else(|| self.other_kinematics(event))?;
-        let Difference { what, remedy } = difference;
+        let Difference { what, hint } = difference;
         // A locked cell has no ways back: what hangs on the cups is taken off by hand.
         let hands = match self.may_be_held() {
             true => "hold what hangs on the cups by hand and `celld release --yes`, then ",
             false => "",
         };
-        let remedy = format!("{hands}{remedy}");
-        self.mode.lock(format!("{what}; {remedy}"));
-        Some(Code::OtherRobot.because(what, remedy))
+        let hint = format!("{hands}{hint}");
+        self.mode.lock(format!("{what}; {hint}"));
+        Some(Code::OtherRobot.because(what, hint))
     }
 
     fn other_identity(&mut self, event: &RobotEvent) -> Option<Difference> {
@@ -43,13 +43,13 @@ impl Supervisor {
             return None;
         }
         let same_arm = (&before.model, &before.serial) == (&now.model, &now.serial);
-        let remedy = if same_arm { "end celld, read what has changed, start it again" } else { ANEW };
+        let hint = if same_arm { "end celld, read what has changed, start it again" } else { ANEW };
         Some(Difference {
             what: match same_arm {
                 true => format!("the robot's software was changed: {now}; celld started with {before}"),
                 false => format!("another robot answers: {now}; celld started with {before}"),
             },
-            remedy,
+            hint,
         })
     }
 
@@ -60,8 +60,8 @@ impl Supervisor {
             "the robot's safety configuration was changed: its checksum is {checksum:08x}, it was \
              {before:08x}"
         );
-        let remedy = "see that it is the one of the risk assessment, end celld, start it again";
-        (before != *checksum).then_some(Difference { what, remedy })
+        let hint = "see that it is the one of the risk assessment, end celld, start it again";
+        (before != *checksum).then_some(Difference { what, hint })
     }
 
     fn other_kinematics(&self, event: &RobotEvent) -> Option<Difference> {
@@ -70,12 +70,12 @@ impl Supervisor {
             "another arm answers, or it was calibrated anew: its kinematics differ from those celld started \
                     with"
                 .to_string();
-        (*dh != self.model.arm.dh).then_some(Difference { what, remedy: ANEW })
+        (*dh != self.model.arm.dh).then_some(Difference { what, hint: ANEW })
     }
 }
 
 /// What is not as it was, and what to do.
 struct Difference {
     what: String,
-    remedy: &'static str,
+    hint: &'static str,
 }

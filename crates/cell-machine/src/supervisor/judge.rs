@@ -36,14 +36,14 @@ impl Supervisor {
     /// What makes an observation useless for the active job.
     pub(crate) fn judge(&self, observation: &Observation) -> Option<Reason> {
         let objects = || {
-            self.doubt_objects(observation).map(|reason| {
+            self.reject_objects(observation).map(|reason| {
                 let hint =
                     "look at the end picture of the job, put the table right, submit again".to_string();
                 Reason { hint, ..reason }
             })
         };
-        let foreign = || self.doubt_foreign(observation);
-        let calibration = self.doubt_calibration(observation);
+        let foreign = || self.reject_foreign(observation);
+        let calibration = self.reject_calibration(observation);
         // What a marker says about a thing is more exact than that there is one; a missing object may be the
         // thing.
         let named = !observation.suspicious.is_empty() || !observation.duplicates.is_empty();
@@ -56,7 +56,7 @@ impl Supervisor {
 
     /// What the cell would refuse a job for, as far as what was seen last shows; `whole`: that was all of
     /// the table. Of a part of it only what is wrong there counts, not what is not shown.
-    pub(crate) fn doubt_of_sight(&self, seen: &Observation, whole: bool) -> Option<Reason> {
+    pub(crate) fn rejection_of_sight(&self, seen: &Observation, whole: bool) -> Option<Reason> {
         if whole {
             return self.judge(seen);
         }
@@ -72,14 +72,14 @@ impl Supervisor {
             }),
             ..seen.clone()
         };
-        let calibration = || shown.reference.as_ref().and_then(|_| self.doubt_calibration(&shown));
-        let foreign = || shown.foreign.as_ref().and_then(|_| self.doubt_foreign(&shown));
-        calibration().or_else(foreign).or_else(|| self.doubt_objects(&shown))
+        let calibration = || shown.reference.as_ref().and_then(|_| self.reject_calibration(&shown));
+        let foreign = || shown.foreign.as_ref().and_then(|_| self.reject_foreign(&shown));
+        calibration().or_else(foreign).or_else(|| self.reject_objects(&shown))
     }
 
     /// What makes a look useless for putting down what is held, whatever job waits. Of the held object
     /// itself it says nothing: its marker is wherever the arm is.
-    pub(crate) fn doubt_on_the_way(&self, seen: &Observation) -> Option<Reason> {
+    pub(crate) fn rejection_on_the_way(&self, seen: &Observation) -> Option<Reason> {
         let held = self.back.held.as_ref().map(|held| held.object.as_str());
         let tilted = || {
             let mut others = seen.suspicious.iter().filter(|suspicious| Some(suspicious.id.as_str()) != held);
@@ -98,13 +98,13 @@ impl Supervisor {
                 }),
                 ..Observation::default()
             };
-            self.doubt_foreign(if holes_are_taken { &whole } else { seen })
+            self.reject_foreign(if holes_are_taken { &whole } else { seen })
         };
-        self.doubt_calibration(seen).or_else(|| self.doubt_marker(seen)).or_else(foreign).or_else(tilted)
+        self.reject_calibration(seen).or_else(|| self.reject_marker(seen)).or_else(foreign).or_else(tilted)
     }
 
     /// A marker that belongs to nothing the cell knows.
-    fn doubt_marker(&self, observation: &Observation) -> Option<Reason> {
+    fn reject_marker(&self, observation: &Observation) -> Option<Reason> {
         let known = |id: &&u32| self.model.ignore_markers.contains(id);
         let id = observation.unknown.iter().find(|id| !known(id))?;
         let message = format!("marker {id} is on the table and belongs to nothing the cell knows");
@@ -115,7 +115,7 @@ impl Supervisor {
     }
 
     /// The reference markers are not where they were surveyed, or too few of them are seen to decide.
-    fn doubt_calibration(&self, observation: &Observation) -> Option<Reason> {
+    fn reject_calibration(&self, observation: &Observation) -> Option<Reason> {
         let tolerances = &self.model.tolerances;
         let seen = observation.reference.as_ref().map_or(0, |check| check.markers.len());
         if seen < tolerances.reference_seen {
@@ -162,10 +162,10 @@ impl Supervisor {
         Some(Code::CalibrationInvalid.because(message, hint))
     }
 
-    fn doubt_objects(&self, observation: &Observation) -> Option<Reason> {
+    fn reject_objects(&self, observation: &Observation) -> Option<Reason> {
         let job = self.job.as_ref()?;
-        if let Some(doubt) = self.doubt_marker(observation) {
-            return Some(doubt);
+        if let Some(rejection) = self.reject_marker(observation) {
+            return Some(rejection);
         }
         if let Some(duplicate) = observation.duplicates.first() {
             let message =
@@ -200,7 +200,7 @@ impl Supervisor {
     }
 
     /// Something is on the table that nothing explains, or depth gives no answer.
-    fn doubt_foreign(&self, observation: &Observation) -> Option<Reason> {
+    fn reject_foreign(&self, observation: &Observation) -> Option<Reason> {
         let needed = match self.model.foreign {
             ForeignRule::Off => return None,
             ForeignRule::Refuse { depth_needed } => depth_needed,

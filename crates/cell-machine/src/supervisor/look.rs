@@ -338,9 +338,9 @@ impl Supervisor {
             // It showed what it had to: that nothing hangs on the cups. The table is looked at next.
             return;
         }
-        if let Some(doubt) = self.gone(&observation, &stops) {
+        if let Some(rejection) = self.gone(&observation, &stops) {
             self.seen = None;
-            return self.look_again(now, doubt, out);
+            return self.look_again(now, rejection, out);
         }
         let observation = match region {
             Some(region) => self.with_what_is_remembered(observation, &region),
@@ -368,7 +368,7 @@ impl Supervisor {
         }
         match fault {
             None => {
-                (job.look_failures, job.doubt) = (0, None);
+                (job.look_failures, job.rejection) = (0, None);
                 report_absent(job, &observation, out);
                 if whole {
                     self.glance = Some(Glance { seen: observation.clone(), at: now });
@@ -377,24 +377,24 @@ impl Supervisor {
                 self.seen_at = now;
                 self.looked(whole);
             }
-            Some(doubt) => {
+            Some(rejection) => {
                 self.seen = None;
-                self.look_again(now, doubt, out);
+                self.look_again(now, rejection, out);
             }
         }
     }
 
     /// What was seen cannot be acted upon: another look, or the end of the job.
-    fn look_again(&mut self, now: Timestamp, doubt: Reason, out: &mut Vec<Action>) {
+    fn look_again(&mut self, now: Timestamp, rejection: Reason, out: &mut Vec<Action>) {
         let goes_on = self.mode.armed() && !self.mode.paused();
         let Some(job) = &mut self.job else { return };
         if job.look_failures >= self.model.tolerances.retries {
-            return self.finish(now, JobStatus::Failed, doubt, out);
+            return self.finish(now, JobStatus::Failed, rejection, out);
         }
         job.look_failures += 1;
-        job.doubt = Some(doubt.message.clone());
+        job.rejection = Some(rejection.message.clone());
         let again = if goes_on && !job.cancel { "; the arm looks again now" } else { "" };
-        say(out, format!("{}{again}", doubt.message));
+        say(out, format!("{}{again}", rejection.message));
     }
 }
 

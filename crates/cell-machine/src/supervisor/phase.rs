@@ -211,7 +211,7 @@ pub(crate) struct JobRun {
     /// Stops that it has outlived.
     pub stops: u32,
     /// Why what was seen could not be acted upon.
-    pub doubt: Option<String>,
+    pub rejection: Option<String>,
     /// What the last look showed in one picture and not in a later one that shows its place, and where.
     pub gone: Vec<(String, Pose2)>,
     /// It was said which objects of the catalogue are not seen.

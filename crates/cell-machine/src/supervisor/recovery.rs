@@ -323,9 +323,9 @@ impl Supervisor {
         if let Some(height) = foreign_height(&self.model, &observation) {
             self.foreign_height = height;
         }
-        match self.doubt_on_the_way(&observation) {
-            Some(doubt) => {
-                let Reason { message, hint, .. } = doubt;
+        match self.rejection_on_the_way(&observation) {
+            Some(rejection) => {
+                let Reason { message, hint, .. } = rejection;
                 self.end_recovery(
                     Err(format!(
                         "no free place can be seen: {message}; {hint}; for what is held, `celld recover \

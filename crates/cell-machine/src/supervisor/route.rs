@@ -260,7 +260,7 @@ pub(crate) fn why_no_plan(answer: &PlanAnswer) -> Reason {
         }
         PlanAnswer::OutOfReach(fault) => {
             let hint = match fault.buffer {
-                None => fault.remedy.as_ref(),
+                None => fault.hint.as_ref(),
                 Some(_) => {
                     "there is too little room to put things aside within reach: clear the table a \
                          little, or give the job a longer time_limit_s"

@@ -37,7 +37,7 @@ pub fn mode_words(mode: RobotMode) -> String {
 }
 
 /// What to do before anything else.
-pub fn safety_remedy(mode: SafetyMode) -> &'static str {
+pub fn safety_hint(mode: SafetyMode) -> &'static str {
     match safety_code(mode) {
         Code::EmergencyStop => "release the button once the cell is safe",
         Code::ProtectiveStop => "see what the arm has met; `celld recover` shows the ways to unlock it",
@@ -82,7 +82,7 @@ mod tests {
     fn every_safety_mode_without_motion_has_its_words_and_what_to_do() {
         let stopped = || SafetyMode::KNOWN.iter().filter(|mode| !mode.allows_motion());
         for mode in stopped().chain([&SafetyMode::Unknown(99)]) {
-            assert!(!safety_words(*mode).is_empty() && !safety_remedy(*mode).is_empty(), "{mode}");
+            assert!(!safety_words(*mode).is_empty() && !safety_hint(*mode).is_empty(), "{mode}");
         }
         for (mode, code) in [
             (SafetyMode::RobotEmergencyStop, Code::EmergencyStop),

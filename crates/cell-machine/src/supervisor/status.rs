@@ -260,7 +260,9 @@ impl Supervisor {
             moves: job.map_or(0, |job| job.moves),
             last_move: job.and_then(|_| self.times.last_move()),
             remaining_moves: job.and_then(|job| job.route.as_ref()).map_or(0, Vec::len),
-            because: job.and_then(|job| job.doubt.clone()).filter(|_| matches!(self.phase, Phase::Look(_))),
+            because: job
+                .and_then(|job| job.rejection.clone())
+                .filter(|_| matches!(self.phase, Phase::Look(_))),
             hint: self.hint(),
             stopped: self.back.last_stop.as_ref().map(|stop| {
                 let Reason { code, message, .. } = stop.reason.clone();

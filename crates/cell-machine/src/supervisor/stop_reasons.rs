@@ -12,7 +12,7 @@ use crate::supervisor::gates::motion_speed;
 use crate::supervisor::input::DeviceSnapshot;
 use crate::supervisor::phase::Phase;
 use crate::supervisor::reason::Reason;
-use crate::supervisor::safety_words::{mode_words, safety_code, safety_remedy, safety_words};
+use crate::supervisor::safety_words::{mode_words, safety_code, safety_hint, safety_words};
 use cell_values::time::Timestamp;
 use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 
@@ -44,10 +44,10 @@ impl Supervisor {
     }
 
     fn safety_reason(&self, mode: SafetyMode) -> Reason {
-        let remedy = safety_remedy(mode);
+        let hint = safety_hint(mode);
         match safety_code(mode) {
-            Code::ProtectiveStop => Code::ProtectiveStop.because(safety_words(mode), remedy),
-            code => self.reason_of(code, safety_words(mode), remedy),
+            Code::ProtectiveStop => Code::ProtectiveStop.because(safety_words(mode), hint),
+            code => self.reason_of(code, safety_words(mode), hint),
         }
     }
 

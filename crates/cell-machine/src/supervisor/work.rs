@@ -63,7 +63,7 @@ impl Supervisor {
             Ok(paths) => paths,
             Err(fault) => {
                 let message = format!("{} cannot be moved: {fault}", next.object);
-                let reason = Code::Unreachable.because(message, fault.remedy()).of(&next.object);
+                let reason = Code::Unreachable.because(message, fault.hint()).of(&next.object);
                 return self.finish(now, JobStatus::Failed, reason, out);
             }
         };
@@ -321,20 +321,38 @@ impl Supervisor {
                 return self.count_grip_failure(now, out);
             }
             (WorkStage::Carrying { .. }, GripperEvent::VacuumLost { vacuum }) => {
-                let message = format!("{} was lost: vacuum {:.0} %", work.object, vacuum * 100.0);
-                let hint = "see where it lies, or whether it still hangs: `celld recover` says what the \
-                            gripper reads";
-                let reason = Code::VacuumLost.because(message, hint).of(&work.object);
-                return match self.job_outlives_a_stop() {
-                    true => self.stop_and_keep_the_job(now, reason, out),
-                    false => self.stop_all(now, JobStatus::Failed, reason, out),
-                };
+                let object = work.object.clone();
+                return self.carried_was_lost(now, object, vacuum, out);
             }
             // Readings and repeated answers change nothing; a phase that waits in vain runs into its
             // deadline.
-            _ => return,
+            (
+                _,
+                GripperEvent::Gripped { .. }
+                | GripperEvent::GripFailed { .. }
+                | GripperEvent::Released
+                | GripperEvent::ReleaseFailed { .. }
+                | GripperEvent::VacuumWeak { .. }
+                | GripperEvent::VacuumLost { .. }
+                | GripperEvent::Unreachable { .. }
+                | GripperEvent::Answering
+                | GripperEvent::Refused
+                | GripperEvent::Reading { .. },
+            ) => return,
         }
         self.remaining = self.model.tolerances.phase_deadline;
+    }
+
+    /// What was carried hangs there no more.
+    fn carried_was_lost(&mut self, now: Timestamp, object: String, vacuum: f64, out: &mut Vec<Action>) {
+        let message = format!("{object} was lost: vacuum {:.0} %", vacuum * 100.0);
+        let hint =
+            "see where it lies, or whether it still hangs: `celld recover` says what the gripper reads";
+        let reason = Code::VacuumLost.because(message, hint).of(object);
+        match self.job_outlives_a_stop() {
+            true => self.stop_and_keep_the_job(now, reason, out),
+            false => self.stop_all(now, JobStatus::Failed, reason, out),
+        }
     }
 
     /// The object is released: straight up, and where the job goes on, to the next look without a stop.

@@ -106,7 +106,7 @@ impl PathFault {
 
     /// What a person does about a pick or a place that is refused for this. A place may be out of reach for
     /// being too far away, or too near to the arm's own base.
-    pub fn remedy(&self) -> &'static str {
+    pub fn hint(&self) -> &'static str {
         match self {
             PathFault::OutOfReach { .. } | PathFault::TooSlow { .. } => {
                 "put the object or its goal where the arm reaches without being stretched out"
@@ -179,7 +179,7 @@ mod tests {
             (PathFault::Empty, "configuration"),
         ];
         for (fault, part) in cases {
-            assert!(fault.remedy().contains(part), "{fault}: {}", fault.remedy());
+            assert!(fault.hint().contains(part), "{fault}: {}", fault.hint());
         }
     }
 }

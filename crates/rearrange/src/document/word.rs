@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_unknown_word_is_told_the_words_there_are() {
+    fn an_unknown_word_gets_the_words_there_are() {
         let as_str = |small: bool| if small { "small" } else { "large" };
         assert_eq!(named("large", &[true, false], as_str), Ok(false));
         let unknown = named("huge", &[true, false], as_str).expect_err("no such word");

@@ -16,6 +16,7 @@ use crate::controller::watchdog::WatchdogAction;
 use crate::motion::path_offset::OffsetWish;
 use std::collections::VecDeque;
 use std::sync::Arc;
+use ur_wire::dashboard::ProgramState;
 use ur_wire::enumerations::RuntimeState;
 use ur_wire::primary_message::{MessageBody, PROGRAM_STARTED, PROGRAM_STOPPED};
 use urscript::ast::FunctionKind;
@@ -133,6 +134,15 @@ impl Programs {
             Run::Stopped | Run::Fetching(_) => RuntimeState::Stopped,
             Run::Playing(_) => RuntimeState::Playing,
             Run::Paused { .. } => RuntimeState::Paused,
+        }
+    }
+
+    /// The same in the three words of dashboard and Robot API.
+    pub fn program_state(&self) -> ProgramState {
+        match self.run {
+            Run::Stopped | Run::Fetching(_) => ProgramState::Stopped,
+            Run::Playing(_) => ProgramState::Playing,
+            Run::Paused { .. } => ProgramState::Paused,
         }
     }
 

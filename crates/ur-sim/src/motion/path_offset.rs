@@ -171,7 +171,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_applied_is_told_in_every_frame(
+        fn what_is_applied_is_reported_in_every_frame(
             offset in proptest::array::uniform6(-0.1..0.1f64), way in proptest::array::uniform3(0.1..1.0f64)
         ) {
             for frame in [OffsetFrame::Base, OffsetFrame::Tool, OffsetFrame::Motion, OffsetFrame::World] {

@@ -10,7 +10,6 @@ use crate::controller::programs::open_source;
 use crate::robot_api::reply::{Reply, Request};
 use crate::robot_server::shared::RobotShared;
 use serde_json::json;
-use ur_wire::enumerations::RuntimeState;
 
 /// The name of the loaded program.
 pub fn loaded_name(controller: &Controller) -> Option<&str> {
@@ -57,11 +56,7 @@ pub fn load_named(shared: &RobotShared, name: &str) -> Reply {
 
 /// GET `/program/v1/state`.
 pub fn state(controller: &Controller) -> Reply {
-    let word = match controller.programs.runtime_state() {
-        RuntimeState::Playing => "PLAYING",
-        RuntimeState::Paused => "PAUSED",
-        _ => "STOPPED",
-    };
+    let word = controller.programs.program_state().as_str();
     Reply::of(json!({"state": word, "message": "", "details": ""}))
 }
 

@@ -129,10 +129,26 @@ fn safety_word(mode: SafetyMode) -> &'static str {
     match mode {
         SafetyMode::Normal => "NORMAL",
         SafetyMode::Reduced => "REDUCED",
-        SafetyMode::ProtectiveStop => "PROTECTIVE_STOP",
-        other if other.name().ends_with("EMERGENCY_STOP") => "EMERGENCY_STOP",
-        other if other.name().ends_with("SAFEGUARD_STOP") => "PROTECTIVE_STOP",
-        _ => "FAULT",
+        SafetyMode::ProtectiveStop
+        | SafetyMode::SafeguardStop
+        | SafetyMode::AutomaticModeSafeguardStop
+        | SafetyMode::ImmiSafeguardStop
+        | SafetyMode::ProfisafeAutomaticModeSafeguardStop
+        | SafetyMode::ProfisafeSafeguardStop
+        | SafetyMode::SafetyApiSafeguardStop => "PROTECTIVE_STOP",
+        SafetyMode::SystemEmergencyStop
+        | SafetyMode::RobotEmergencyStop
+        | SafetyMode::ImmiEmergencyStop
+        | SafetyMode::ProfisafeEmergencyStop => "EMERGENCY_STOP",
+        SafetyMode::Recovery
+        | SafetyMode::Violation
+        | SafetyMode::Fault
+        | SafetyMode::ValidateJointId
+        | SafetyMode::Undefined
+        | SafetyMode::SystemThreePositionEnablingStop
+        | SafetyMode::TpThreePositionEnablingStop
+        | SafetyMode::ProfisafeWaitingForParameters
+        | SafetyMode::Unknown(_) => "FAULT",
     }
 }
 

@@ -10,8 +10,7 @@ use crate::controller::pendant::{INSTALLATION, LoadError, OperationalMode};
 use crate::controller::program_files::bare_name;
 use crate::robot_server::shared::RobotShared;
 use ur_wire::bytes::WireError;
-use ur_wire::dashboard::{Command, GREETING, LineSplitter, ProgramState, Reply};
-use ur_wire::enumerations::RuntimeState;
+use ur_wire::dashboard::{Command, GREETING, LineSplitter, Reply};
 
 /// Name given where no program has one.
 const NO_PROGRAM: &str = "<unnamed>";
@@ -83,7 +82,35 @@ pub fn answer(controller: &mut Controller, command: &Command, line: &str, switch
         }
         Command::RestartSafety => controller.restart_safety(),
         Command::Unknown(_) => return Reply::not_understood(line),
-        _ => {}
+        // Played or paused; what else there is was answered above, or is accepted without an effect.
+        Command::Play
+        | Command::Pause
+        | Command::LoadInstallation(_)
+        | Command::Running
+        | Command::ProgramState
+        | Command::GetLoadedProgram
+        | Command::IsProgramSaved
+        | Command::RobotMode
+        | Command::SafetyMode
+        | Command::SafetyStatus
+        | Command::CloseSafetyPopup
+        | Command::ClosePopup
+        | Command::Popup(_)
+        | Command::IsInRemoteControl
+        | Command::PolyscopeVersion
+        | Command::Version
+        | Command::GetSerialNumber
+        | Command::GetRobotModel
+        | Command::SetOperationalMode(_)
+        | Command::GetOperationalMode
+        | Command::ClearOperationalMode
+        | Command::SetUserRole(_)
+        | Command::GetUserRole
+        | Command::AddToLog(_)
+        | Command::SaveLog
+        | Command::GenerateFlightReport(_)
+        | Command::GenerateSupportFile(_)
+        | Command::Quit => {}
     }
     Reply::accepted(command)
 }
@@ -163,11 +190,7 @@ fn question(controller: &Controller, command: &Command) -> Option<Reply> {
     Some(match command {
         Command::Running => Reply::Flag(controller.programs.playing()),
         Command::ProgramState => Reply::ProgramState {
-            state: match controller.programs.runtime_state() {
-                RuntimeState::Playing => ProgramState::Playing,
-                RuntimeState::Paused => ProgramState::Paused,
-                _ => ProgramState::Stopped,
-            },
+            state: controller.programs.program_state(),
             program: program_name(controller).to_owned(),
         },
         Command::GetLoadedProgram => Reply::Text(match &core.pendant.program {

@@ -124,7 +124,7 @@ fn another_robot_locks_the_cell_and_both_are_named() {
         (identity("UR5", "1", "5.4"), "5.4", "start it again"),
         (RobotEvent::SafetyChecksum { checksum: 8 }, "00000008, it was 00000007", "risk assessment"),
     ];
-    for (event, word, remedy) in others {
+    for (event, word, hint) in others {
         let mut bench = Bench::new();
         bench.cell.commissioned_for(KnownRobot { identity: Some(known.clone()), safety_checksum: Some(7) });
         bench.feed(Input::Robot(identity("UR5", "1", "5.9")));
@@ -134,7 +134,7 @@ fn another_robot_locks_the_cell_and_both_are_named() {
         assert!(said(&other, word) && !bench.cell.status().armed, "{word}: {other:?}");
         let reply = answer(&bench.feed(order(Order::Arm))).expect("an answer");
         assert!(!reply.accepted && reply.message.contains(word), "{}", reply.message);
-        assert!(reply.message.contains(remedy), "{}", reply.message);
+        assert!(reply.message.contains(hint), "{}", reply.message);
         let locked = |bench: &Bench| bench.cell.status().text().contains("the cell is locked");
         assert!(locked(&bench), "{}", bench.cell.status().text());
         bench.job(false);

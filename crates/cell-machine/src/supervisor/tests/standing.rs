@@ -443,7 +443,7 @@ fn where_an_object_was_that_is_not_seen_now_nothing_is_put_down() {
 
 #[test]
 fn a_new_look_is_announced_only_where_the_arm_goes_on() {
-    let doubtful = || {
+    let rejected = || {
         let mut bench = Bench::new();
         bench.job(false);
         bench.feed(order(Order::Arm));
@@ -452,12 +452,12 @@ fn a_new_look_is_announced_only_where_the_arm_goes_on() {
         bench
     };
     let again = "looks again now";
-    let mut bench = doubtful();
+    let mut bench = rejected();
     let first = bench.look();
     assert!(said(&first, again) && ended(&first).is_none(), "{first:?}");
     assert_eq!(streams(&first) + streams(&bench.ticks(20)), 1, "as announced");
     for stop in [Order::Pause, Order::Abort, Order::Disarm, Order::Cancel("j".into())] {
-        let mut bench = doubtful();
+        let mut bench = rejected();
         bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
         bench.ticks(10);
         bench.feed(Input::Captured(Ok(Vec::new())));

@@ -212,7 +212,7 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ("socket_send_byte", "every_way_of_sending_arrives_as_documented"),
     ("socket_send_string", "every_way_of_sending_arrives_as_documented"),
     ("socket_send_line", "every_way_of_sending_arrives_as_documented"),
-    ("socket_get_var", "a_variable_is_asked_for_and_answered"),
+    ("socket_get_var", "a_variable_is_requested_and_answered"),
     ("socket_set_var", "every_way_of_sending_arrives_as_documented"),
 ];
 
