@@ -30,6 +30,9 @@ const HOLD_POLL: Duration = Duration::from_micros(200);
 /// frames are pushed back. At factor 20 this is a burst of five frames at most.
 const TOLERATED_LATENESS: Duration = Duration::from_micros(500);
 
+/// The same while no client watches the robot, to whom time would jump.
+const UNWATCHED_LATENESS: Duration = Duration::from_millis(100);
+
 /// Frames in a row after none of which there was time to sleep, at which real-time priority is given up.
 const MOST_SLEEPLESS: u32 = 50;
 
@@ -47,12 +50,12 @@ impl Schedule {
         Schedule { period, due: now + period, intended: now }
     }
 
-    /// Time to sleep until the frame that is due at `now`; a frame that is late by more than is tolerated
+    /// Time to sleep until the frame that is due at `now`; a frame that is late by more than `tolerated`
     /// moves all later ones.
-    fn wait(&mut self, now: Instant) -> Duration {
+    fn wait(&mut self, now: Instant, tolerated: Duration) -> Duration {
         let wait = self.due.saturating_duration_since(now);
         self.intended = self.due;
-        if now > self.due + TOLERATED_LATENESS.max(self.period) {
+        if now > self.due + tolerated.max(self.period) {
             self.due = now;
         }
         self.due += self.period;
@@ -103,7 +106,9 @@ pub fn run(core: &Core, progress: &Progress, factor: f64, stopped: &watch::Recei
         core.advance(Some(schedule.intended));
         frames += 1;
         progress.pace.reached(Duration::from_secs_f64(frames as f64 * FRAME_SECONDS));
-        let wait = schedule.wait(Instant::now());
+        let alone = factor > 1.0 && !core.robot.publisher().has_clients();
+        let tolerated = if alone { UNWATCHED_LATENESS } else { TOLERATED_LATENESS };
+        let wait = schedule.wait(Instant::now(), tolerated);
         sleepless = if wait.is_zero() { sleepless + 1 } else { 0 };
         if sleepless == MOST_SLEEPLESS && factor <= 1.0 {
             // Frames that take longer than they last would leave nothing to ordinary threads.
@@ -165,11 +170,14 @@ mod tests {
         let start = Instant::now();
         let ms = Duration::from_millis;
         let mut schedule = Schedule::new(1.0, start);
-        assert_eq!(schedule.wait(start), ms(2));
-        assert_eq!(schedule.wait(start + ms(3)), ms(1));
-        assert_eq!(schedule.wait(start + ms(7)), Duration::ZERO, "1 ms late");
-        assert_eq!(schedule.wait(start + ms(7)), ms(1), "little lateness is made up for");
-        assert_eq!(schedule.wait(start + ms(500)), Duration::ZERO);
-        assert_eq!(schedule.wait(start + ms(500)), ms(2), "much is not");
+        let mut wait = |at: u64| schedule.wait(start + ms(at), TOLERATED_LATENESS);
+        assert_eq!(wait(0), ms(2));
+        assert_eq!(wait(3), ms(1));
+        assert_eq!(wait(7), Duration::ZERO, "1 ms late");
+        assert_eq!(wait(7), ms(1), "little lateness is made up for");
+        assert_eq!(wait(500), Duration::ZERO);
+        assert_eq!(wait(500), ms(2), "much is not");
+        assert_eq!(schedule.wait(start + ms(550), UNWATCHED_LATENESS), Duration::ZERO);
+        assert_eq!(schedule.wait(start + ms(550), UNWATCHED_LATENESS), Duration::ZERO, "unwatched, it is");
     }
 }

@@ -111,7 +111,7 @@ struct Writes {
 /// All connections that are sent something.
 #[derive(Debug, Default)]
 pub struct Publisher {
-    publisher: Vec<Client>,
+    clients: Vec<Client>,
     last_id: u64,
     switches: u64,
     sent: u64,
@@ -133,7 +133,7 @@ impl Publisher {
         self.last_id += 1;
         let id = ClientId(self.last_id);
         let (line, inlet) = Line::open(way);
-        self.publisher.push(Client {
+        self.clients.push(Client {
             id,
             feed,
             read_only,
@@ -149,16 +149,16 @@ impl Publisher {
 
     /// Removes a connection.
     pub fn close(&mut self, id: ClientId) {
-        self.publisher.retain(|outlet| outlet.id != id);
+        self.clients.retain(|client| client.id != id);
     }
 
     /// Sets a connection's recipe, in place of an earlier one; `interval` in frames between packages.
     pub fn subscribe(&mut self, id: ClientId, plan: Plan, interval: u64) {
-        let known = self.publisher.iter().filter_map(|outlet| outlet.subscription.as_ref());
+        let known = self.clients.iter().filter_map(|client| client.subscription.as_ref());
         let known = known.map(|subscription| &subscription.plan).find(|known| known.same(&plan)).cloned();
-        if let Some(outlet) = self.find(id) {
+        if let Some(client) = self.find(id) {
             let plan = known.unwrap_or_else(|| Arc::new(plan));
-            outlet.subscription = Some(Subscription { plan, interval });
+            client.subscription = Some(Subscription { plan, interval });
         }
     }
 
@@ -169,64 +169,69 @@ impl Publisher {
 
     /// True if it is agreed what the connection's data are.
     pub fn has_recipe(&self, id: ClientId) -> bool {
-        self.publisher.iter().any(|outlet| outlet.id == id && outlet.subscription.is_some())
+        self.clients.iter().any(|client| client.id == id && client.subscription.is_some())
     }
 
     /// Starts a connection's data.
     pub fn start(&mut self, id: ClientId) {
-        if let Some(outlet) = self.find(id) {
-            outlet.started = outlet.subscription.is_some();
+        if let Some(client) = self.find(id) {
+            client.started = client.subscription.is_some();
         }
     }
 
     /// Pauses a connection's data.
     pub fn pause(&mut self, id: ClientId) {
-        if let Some(outlet) = self.find(id) {
-            outlet.started = false;
+        if let Some(client) = self.find(id) {
+            client.started = false;
         }
     }
 
     /// Notes that a client wrote inputs in the frame `step`.
     pub fn wrote(&mut self, id: ClientId, step: u64) {
-        let Some(outlet) = self.find(id) else { return };
-        let gap = step.saturating_sub(outlet.writes.last_step);
+        let Some(client) = self.find(id) else { return };
+        let gap = step.saturating_sub(client.writes.last_step);
         // Several packages in one frame are one sign of life.
         if gap > 0 {
-            outlet.writes.intervals =
-                if gap <= LATE_FRAMES { outlet.writes.intervals.saturating_add(1) } else { 0 };
-            outlet.writes.last_step = step;
+            client.writes.intervals =
+                if gap <= LATE_FRAMES { client.writes.intervals.saturating_add(1) } else { 0 };
+            client.writes.last_step = step;
         }
     }
 
     /// A client that writes regularly has not written for 60 ms.
     pub fn a_client_is_late(&self, step: u64) -> bool {
-        self.publisher.iter().any(|outlet| outlet.is_late(step))
+        self.clients.iter().any(|client| client.is_late(step))
     }
 
     /// An RTDE client's queue is more than half full, and was not given up.
     pub fn a_client_is_behind(&self) -> bool {
-        self.publisher.iter().any(Client::is_behind)
+        self.clients.iter().any(Client::is_behind)
     }
 
     /// Gives up waiting: who is late counts as irregular until it writes regularly again, who is behind
     /// until its queue has room again.
     pub fn give_up(&mut self, step: u64) {
-        for outlet in &mut self.publisher {
-            if outlet.is_late(step) {
-                outlet.writes.intervals = 0;
+        for client in &mut self.clients {
+            if client.is_late(step) {
+                client.writes.intervals = 0;
             }
-            outlet.given_up |= outlet.is_behind();
+            client.given_up |= client.is_behind();
         }
+    }
+
+    /// Whether anyone is connected.
+    pub fn has_clients(&self) -> bool {
+        !self.clients.is_empty()
     }
 
     /// True until the connection was closed or dropped.
     pub fn is_open(&self, id: ClientId) -> bool {
-        self.publisher.iter().any(|outlet| outlet.id == id)
+        self.clients.iter().any(|client| client.id == id)
     }
 
     /// Connections with this feed.
     pub fn subscribers(&self, feed: Feed) -> usize {
-        self.publisher.iter().filter(|outlet| outlet.feed == feed).count()
+        self.clients.iter().filter(|client| client.feed == feed).count()
     }
 
     /// RTDE packages sent and skipped so far.
@@ -240,7 +245,7 @@ impl Publisher {
     }
 
     fn find(&mut self, id: ClientId) -> Option<&mut Client> {
-        self.publisher.iter_mut().find(|outlet| outlet.id == id)
+        self.clients.iter_mut().find(|client| client.id == id)
     }
 
     /// Sends what is due at the end of a frame; `due` is when the frame was, and what leaves at once is
@@ -260,7 +265,7 @@ impl Publisher {
         let messages = controller.core.take_messages();
         let messages: Vec<Bytes> =
             messages.into_iter().map(|body| encode_message(controller, body)).collect();
-        let fed = |feed: Feed| self.publisher.iter().any(|outlet| outlet.feed == feed);
+        let fed = |feed: Feed| self.clients.iter().any(|client| client.feed == feed);
         let stopped = controller.core.modes.protective_stopped();
         let stops = stopped && !std::mem::replace(&mut self.stopped, stopped);
         self.stopped = stopped;
@@ -268,8 +273,8 @@ impl Publisher {
             (stops || step.is_multiple_of(STATE_INTERVAL)) && (fed(Feed::Primary) || fed(Feed::Secondary));
         let state = state_due.then(|| encode_state(robot_state::periodic(controller)));
         let block: Option<Bytes> = fed(Feed::Realtime).then(|| realtime::block(controller).into());
-        for outlet in &mut self.publisher {
-            let due: Vec<&Bytes> = match outlet.feed {
+        for client in &mut self.clients {
+            let due: Vec<&Bytes> = match client.feed {
                 Feed::Primary if stops => state.iter().chain(&messages).collect(),
                 Feed::Primary => messages.iter().chain(&state).collect(),
                 Feed::Secondary => state.iter().collect(),
@@ -277,7 +282,7 @@ impl Publisher {
                 Feed::Rtde => Vec::new(),
             };
             for bytes in due {
-                outlet.send(bytes, None);
+                client.send(bytes, None);
             }
         }
     }
@@ -285,20 +290,20 @@ impl Publisher {
     /// RTDE packages.
     fn send_packages(&mut self, controller: &Controller, due: Option<Instant>, latency: &LatencyHistogram) {
         let mut encoded: Vec<(Arc<Plan>, Bytes)> = Vec::new();
-        for outlet in &mut self.publisher {
-            let Some(plan) = outlet.plan_of(controller.core.step, self.forced_interval) else { continue };
+        for client in &mut self.clients {
+            let Some(plan) = client.plan_of(controller.core.step, self.forced_interval) else { continue };
             let shared = encoded.iter().find(|(known, _)| Arc::ptr_eq(known, &plan));
             let bytes = match shared {
                 Some((_, bytes)) => bytes.clone(),
                 None => plan.encode(controller),
             };
-            let at_once = matches!(outlet.send(&bytes, due), Passed::Written);
+            let at_once = matches!(client.send(&bytes, due), Passed::Written);
             self.at_once += u64::from(at_once);
             if let Some(due) = due.filter(|_| at_once) {
                 latency.record(due.elapsed());
             }
-            self.sent += u64::from(outlet.behind == 0);
-            self.skipped += u64::from(outlet.behind > 0);
+            self.sent += u64::from(client.behind == 0);
+            self.skipped += u64::from(client.behind > 0);
             encoded.push((plan, bytes));
         }
     }
@@ -322,12 +327,12 @@ impl Publisher {
     }
 
     fn drop_the_hopeless(&mut self) {
-        self.publisher.retain(|outlet| {
-            let hopeless = outlet.feed == Feed::Rtde && outlet.behind > PATIENCE;
+        self.clients.retain(|client| {
+            let hopeless = client.feed == Feed::Rtde && client.behind > PATIENCE;
             if hopeless {
-                outlet.line.hang_up();
+                client.line.hang_up();
             }
-            !hopeless && !outlet.line.is_closed()
+            !hopeless && !client.line.is_closed()
         });
     }
 
@@ -337,10 +342,10 @@ impl Publisher {
         if std::mem::replace(&mut self.switches, switches) == switches || controller.core.modes.remote() {
             return;
         }
-        self.publisher.retain(|outlet| {
-            let stays = outlet.feed == Feed::Rtde || outlet.read_only;
+        self.clients.retain(|client| {
+            let stays = client.feed == Feed::Rtde || client.read_only;
             if !stays {
-                outlet.line.hang_up();
+                client.line.hang_up();
             }
             stays
         });
