@@ -144,6 +144,20 @@ mod tests {
         assert!(reported.contains("table.yaml: made with camera sim-d405"), "{reported}");
     }
 
+    /// A power cut between two of the three files.
+    #[test]
+    fn files_of_two_rounds_are_refused() {
+        let (_folder, config) = example();
+        let hand_eye = std::fs::read_to_string(&config.calibration.hand_eye).unwrap();
+        let date = hand_eye.lines().find(|line| line.starts_with("date:")).unwrap();
+        spoil(&config.calibration.table, date, &format!("{date}\nhand_eye_{date}"));
+        read_calibration(&config).unwrap();
+        spoil(&config.calibration.hand_eye, date, "date: \"2026-11-27T00:00:00Z\"");
+        let reported = read_calibration(&config).unwrap_err();
+        assert!(reported.contains("table.yaml: made with a hand-eye calibration of 2026"), "{reported}");
+        assert!(reported.contains("now it is 2026-11-27T00:00:00Z; run `celld calibrate`"), "{reported}");
+    }
+
     #[test]
     fn all_files_are_judged_in_one_go() {
         let (_folder, config) = example();

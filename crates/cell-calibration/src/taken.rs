@@ -68,6 +68,8 @@ impl Taken {
         if let Some((touched, tie)) = tied {
             table = table.tied(touched, tie);
         }
-        CalibrationSet { camera: self.lens, hand_eye: solved.hand_eye, table }
+        let hand_eye = solved.hand_eye;
+        table.hand_eye_date = Some(hand_eye.provenance.date.clone());
+        CalibrationSet { camera: self.lens, hand_eye, table }
     }
 }

@@ -85,6 +85,9 @@ impl CalibrationSet {
         differ(table, "camera", &flat.camera_serial, &self.camera.model.serial);
         differ(table, "robot", &flat.robot_serial, &hand.robot_serial);
         differ(table, "kinematics", &flat.kinematics_checksum, &hand.kinematics_checksum);
+        // Written one after the other: a power cut in between leaves files of two rounds, which look alike.
+        let beside = self.table.hand_eye_date.as_ref().unwrap_or(&hand.date);
+        differ(table, "a hand-eye calibration of", beside, &hand.date);
         if !same_survey(&self.table.reference_markers, survey) {
             faults.push(format!(
                 "{table}: made with other reference markers than the configuration's; run `celld calibrate`"

@@ -26,6 +26,8 @@ pub struct TableCalibration {
     pub reference_markers: Vec<ReferenceMarker>,
     /// With which devices, and when.
     pub provenance: Provenance,
+    /// When the hand-eye calibration beside it was measured; files of earlier versions do not say.
+    pub hand_eye_date: Option<String>,
     /// How well the samples fit.
     pub residuals: Residuals,
     /// Present when the tool's tip touched the table too.
@@ -60,6 +62,7 @@ impl TableCalibration {
             std: solution.base_from_table_std,
             reference_markers: reference_markers.to_vec(),
             provenance,
+            hand_eye_date: None,
             residuals: Residuals::of(solution),
             touches: None,
         }
@@ -105,6 +108,9 @@ impl TableCalibration {
             ("reference_markers", markers),
         ];
         self.provenance.write(&mut pairs);
+        if let Some(date) = &self.hand_eye_date {
+            pairs.push(("hand_eye_date", Out::Text(date.clone())));
+        }
         pairs.push(("residuals", self.residuals.to_out()));
         if let Some(touched) = &self.touches {
             pairs.push(("touches", touched.to_out()));
@@ -116,7 +122,7 @@ impl TableCalibration {
 }
 
 fn decode(top: &At, decoder: &mut Decoder) -> Option<TableCalibration> {
-    let mut known = vec!["version", "table", "reference_markers", "residuals", "touches"];
+    let mut known = vec!["version", "table", "reference_markers", "hand_eye_date", "residuals", "touches"];
     known.extend(Provenance::KEYS);
     let fields = decoder.map(top, &known)?;
     let version = files::check_version(&fields, decoder);
@@ -128,6 +134,10 @@ fn decode(top: &At, decoder: &mut Decoder) -> Option<TableCalibration> {
         Some(at) => touched(&at, decoder).map(Some),
         None => Some(None),
     };
+    let hand_eye_date = match fields.optional("hand_eye_date") {
+        Some(_) => files::short_text(&fields, "hand_eye_date", decoder).map(Some),
+        None => Some(None),
+    };
     version?;
     let (base_from_table, std) = placed?;
     Some(TableCalibration {
@@ -135,6 +145,7 @@ fn decode(top: &At, decoder: &mut Decoder) -> Option<TableCalibration> {
         std,
         reference_markers: markers?,
         provenance: provenance?,
+        hand_eye_date: hand_eye_date?,
         residuals: residuals?,
         touches: touches?,
     })
@@ -232,6 +243,7 @@ mod tests {
                 kinematics_checksum: "0x12ab".into(),
                 date: "2026-11-21".into(),
             },
+            hand_eye_date: Some("2026-11-20".into()),
             residuals: Residuals {
                 reprojection_px_rms: 0.14,
                 held_out_rms_m: None,
