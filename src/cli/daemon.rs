@@ -273,8 +273,8 @@ async fn daemon(begin: Begin, anew: Anew, stop: Arc<AtomicBool>) -> Result<(), S
     for pose in blocked_poses(&config, &model) {
         tracing::warn!("taught pose {pose}; the arm will not go there");
     }
-    let camera_view = perception_setup(&config, &measured, &arm, diagnostic_images)?;
-    shell.see_with(PerceptionSetup { film: film.clone(), ..camera_view });
+    let setup = perception_setup(&config, &measured, &arm, diagnostic_images)?;
+    shell.see_with(PerceptionSetup { film: film.clone(), ..setup });
     let (pictures, lens) = (LastPicture::new(Some(measured.camera.clone())), measured.camera.clone());
     feed.known(known_cell(&model, &calibration, &arm, &pictures));
     shell.commission(model, config.arm_at_start);

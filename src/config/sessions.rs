@@ -15,8 +15,9 @@ pub const RTDE_HZ: f64 = 125.0;
 /// What the machine is made with; `nonce_seed` differs from run to run.
 pub fn machine_parameters(config: &CellConfig, nonce_seed: u64) -> MachineParameters {
     // The system may keep a process waiting for some 10 ms of the wall's clock, however fast simulated time
-    // goes: a simulated robot gets that time in full.
-    let factor = config.simulation.map_or(1.0, |simulation| simulation.clock_factor.max(1.0));
+    // goes: a simulated robot gets that time in full, below the silence that its session takes for a lost
+    // link.
+    let factor = config.simulation.map_or(1.0, |simulation| simulation.clock_factor.clamp(1.0, 20.0));
     let stale_after = Duration::from_secs_f64(STALE_AFTER.as_secs_f64() * factor);
     let robot = RobotParameters { frequency_hz: RTDE_HZ, stale_after, ..RobotParameters::full_rate() };
     MachineParameters { robot, gripper: gripper_parameters(config), nonce_seed }

@@ -155,6 +155,7 @@ fn simulated_time_that_goes_faster_takes_no_patience_away() {
     assert_eq!(stale("simulation: null"), ms(100));
     assert_eq!(stale("simulation: {clock_factor: 4}"), ms(400));
     assert_eq!(stale("simulation: {clock_factor: 0.5}"), ms(100));
+    assert_eq!(stale("simulation: {clock_factor: 1000}"), ms(2000), "below the silence that ends the link");
 }
 
 #[test]

@@ -24,6 +24,9 @@ pub struct CarriedView {
     pub held: bool,
 }
 
+/// What is let go from higher than this falls, or is taken: where it is then is not known, m.
+const PLACED_WITHIN_M: f64 = 0.01;
+
 /// See the module.
 #[derive(Default)]
 pub struct Carried {
@@ -54,6 +57,7 @@ impl Carried {
         for object in &mut self.objects {
             object.held = self.held.as_ref().is_some_and(|(id, _)| *id == object.id);
         }
+        self.objects.retain(|object| object.held || object.bottom_m <= PLACED_WITHIN_M);
         true
     }
 
@@ -75,9 +79,14 @@ impl Carried {
         }
     }
 
-    /// What a look shows is there again.
-    pub fn seen(&mut self, seen: &Observation) {
-        self.objects.retain(|object| object.held || seen.object(&object.id).is_none());
+    /// A look shows what is there, and at the whole table (not `partial`) also what is not.
+    pub fn seen(&mut self, seen: &Observation, partial: bool) {
+        let shown = |id: &String| {
+            seen.object(id).is_some()
+                || seen.missing.contains(id)
+                || seen.suspicious.iter().any(|object| object.id == *id)
+        };
+        self.objects.retain(|object| object.held || (partial && !shown(&object.id)));
     }
 }
 
@@ -109,19 +118,29 @@ mod tests {
         let hangs = Pose2::new(0.01, 0.0, 0.2);
         let mut carried = Carried::default();
         assert!(carried.hangs(Some(("lid", Some(hangs)))) && !carried.hangs(Some(("lid", Some(hangs)))));
-        let at = |held| CarriedView { id: "lid".into(), pose: hangs, bottom_m: 0.2, held };
+        let at = |held| CarriedView { id: "lid".into(), pose: hangs, bottom_m: 0.001, held };
         carried.objects.push(at(true));
-        carried.seen(&sight(&["lid"]));
+        carried.seen(&sight(&["lid"]), false);
         assert_eq!(
             carried.held(),
             Some(&at(true)),
             "a picture with its marker does not take it off the cups"
         );
         assert!(carried.hangs(None));
-        carried.seen(&sight(&["mug"]));
+        carried.seen(&sight(&["mug"]), true);
         assert_eq!((carried.objects(), carried.held()), (&[at(false)][..], None));
-        carried.seen(&sight(&["mug", "lid"]));
+        carried.seen(&sight(&["mug", "lid"]), true);
         assert!(carried.objects().is_empty());
+        carried.objects.push(at(false));
+        let gone = Observation { missing: vec!["lid".into()], ..sight(&["mug"]) };
+        carried.seen(&gone, true);
+        assert!(carried.objects().is_empty(), "a look shows that it is not there");
+        carried.objects.push(at(false));
+        carried.seen(&sight(&["mug"]), false);
+        assert!(carried.objects().is_empty(), "nor is it anywhere on the table");
+        assert!(carried.hangs(Some(("lid", Some(hangs)))));
+        carried.objects.push(CarriedView { bottom_m: 0.2, ..at(true) });
+        assert!(carried.hangs(None) && carried.objects().is_empty(), "it fell, or a person has it");
         assert!(
             !carried.hangs(Some(("lid", None))),
             "how it hangs is not known: it is shown where it was seen"

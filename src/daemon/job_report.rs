@@ -61,15 +61,10 @@ fn objects(result: &crate::jobs::record::JobResult) -> Vec<ObjectRow> {
     result.objects.iter().map(row).collect()
 }
 
-/// One row a pick-n-place; none for one that was withdrawn and begun anew, which the log has.
+/// One row a pick-n-place.
 fn moves(steps: &[StepRecord], started_unix_s: Option<f64>) -> Vec<MoveRow> {
     let mut before = started_unix_s;
-    let anew = |(number, step): &(usize, &StepRecord)| {
-        let later = steps.iter().skip(number + 1);
-        step.phase == StepPhase::Abandoned
-            && later.into_iter().any(|later| later.intent.object == step.intent.object)
-    };
-    let row = |(_, step): (usize, &StepRecord)| {
+    let row = |(number, step): (usize, &StepRecord)| {
         let done = step.phase == StepPhase::Done;
         let seconds = before.filter(|_| done).map(|before| step.changed_unix_s - before);
         before = Some(step.changed_unix_s);
@@ -80,11 +75,13 @@ fn moves(steps: &[StepRecord], started_unix_s: Option<f64>) -> Vec<MoveRow> {
             from: intent.from,
             to: intent.to,
             unfinished: (!done).then(|| how_far(step)),
+            anew: step.phase == StepPhase::Abandoned
+                && steps.iter().skip(number + 1).any(|later| later.intent.object == intent.object),
             seconds,
             vacuum: None,
         }
     };
-    steps.iter().enumerate().filter(|step| !anew(step)).map(row).collect()
+    steps.iter().enumerate().map(row).collect()
 }
 
 /// The pictures that the daemon has left in the job's folder.
@@ -175,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_withdrawn_and_begun_anew_is_one_move() {
+    fn what_was_given_up_and_begun_anew_is_there_without_alarm() {
         let steps = [
             step(1, "lid", StepPhase::Abandoned),
             step(2, "mug", StepPhase::Done),
@@ -183,8 +180,14 @@ mod tests {
             step(4, "box", StepPhase::Abandoned),
         ];
         let rows = moves(&steps, Some(0.0));
-        let drawn: Vec<_> =
-            rows.iter().map(|row| (row.object.as_str(), row.seconds, row.unfinished.is_some())).collect();
-        assert_eq!(drawn, [("mug", Some(20.0), false), ("lid", Some(10.0), false), ("box", None, true)]);
+        let drawn: Vec<_> = rows.iter().map(|row| (row.object.as_str(), row.seconds, row.anew)).collect();
+        let expected = [
+            ("lid", None, true),
+            ("mug", Some(10.0), false),
+            ("lid", Some(10.0), false),
+            ("box", None, false),
+        ];
+        assert_eq!(drawn, expected);
+        assert!(rows[0].unfinished.is_some() && rows[1].unfinished.is_none() && rows[3].unfinished.is_some());
     }
 }

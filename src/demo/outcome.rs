@@ -117,7 +117,16 @@ fn moves(kept: &Kept) -> Vec<MoveRow> {
             let seconds = before.map(|before| at.since(before).as_secs_f64());
             before = Some(*at);
             let (object, buffer) = (object.clone(), !to_goal);
-            MoveRow { object, buffer, from: *from, to: *to, unfinished: None, seconds, vacuum: None }
+            MoveRow {
+                object,
+                buffer,
+                from: *from,
+                to: *to,
+                unfinished: None,
+                anew: false,
+                seconds,
+                vacuum: None,
+            }
         })
         .collect()
 }

@@ -76,7 +76,7 @@ impl GripperFacts {
         if let Some(confirmed) = self.confirmed {
             let by = match confirmed {
                 Confirmed::ByPerson => "confirmed by a person",
-                Confirmed::Simulation => "not asked for in a simulation",
+                Confirmed::Simulation => "not needed in a simulation",
             };
             return Line::ok(Area::Gripper, "identity", format!("{by}{said}"));
         }

@@ -119,7 +119,7 @@ fn decode_time(decoder: &mut Decoder, at: &At) -> Option<f64> {
 fn decode_approval(decoder: &mut Decoder, at: &At, floor: Approval) -> Option<Approval> {
     let approval = decoder.word::<Approval>(at)?;
     if approval < floor {
-        let message = format!("the cell asks for approval {:?}, a job may only be stricter", floor.as_str());
+        let message = format!("the cell requires approval {:?}, a job may only be stricter", floor.as_str());
         decoder.complain_at(at, message, "remove the key");
         return None;
     }

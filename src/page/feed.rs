@@ -341,7 +341,7 @@ impl Watcher {
 
     fn observed(&mut self, seen: &Observation, partial: bool) {
         let unix_s = unix_now_s();
-        self.carried.seen(seen);
+        self.carried.seen(seen, partial);
         let before = self.feed.last_sight().filter(|_| partial).map(|sight| sight.seen);
         let seen = Arc::new(merged(seen.clone(), before.as_deref()));
         self.feed.send("sight", &sight_view(&seen, unix_s, self.carried.objects()));
@@ -372,10 +372,14 @@ impl Watcher {
     /// What hangs on the gripper: where that changes, the table is another.
     fn hangs(&mut self, machine: &Machine) {
         if self.carried.hangs(machine.supervisor().and_then(Supervisor::object_on_the_gripper)) {
-            self.feed.last().carried = self.carried.objects().to_vec();
-            if let Some(view) = self.feed.last_sight_view() {
-                self.feed.send("sight", &view);
+            let mut last = self.feed.last();
+            last.carried = self.carried.objects().to_vec();
+            // The arm sends nothing more where its link is lost.
+            if let Some(arm) = &mut last.arm {
+                arm.carried = self.carried.held().cloned();
             }
+            drop(last);
+            self.feed.send("carried", &self.carried.objects());
         }
     }
 

@@ -43,8 +43,8 @@ pub async fn shift(State(app): State<App>, Query(wanted): Query<Wanted>) -> Resu
     Ok(Json(body.await??).into_response())
 }
 
-/// The work since `begun` (s since 1970); an hour counts from the first job on, and a move takes no time in
-/// which a person or a gate was waited for.
+/// The work since `begun` (s since 1970). Hours and shares count from the first job on; what is taken off a
+/// move is [`Use::Waiting`]: for a person, a gate, a command on its way.
 fn counts(jobs: &[JobRecord], begun: f64, now: f64) -> Value {
     let of = |status| jobs.iter().filter(|job| job.state == JobState::Ended(status)).count();
     let results = || jobs.iter().filter_map(|job| job.result.as_ref());
@@ -56,7 +56,7 @@ fn counts(jobs: &[JobRecord], begun: f64, now: f64) -> Value {
     json!({
         "since_unix_s": begun, "hours": hours, "done": of(JobStatus::Done), "failed": of(JobStatus::Failed),
         "cancelled": of(JobStatus::Cancelled), "interrupted": of(JobStatus::Interrupted), "moves": moves,
-        "moves_per_hour": moves as f64 / hours, "busy_share": (busy_s / (now - begun).max(1.0)).min(1.0),
+        "moves_per_hour": moves as f64 / hours, "busy_share": (busy_s / (now - first).max(1.0)).min(1.0),
         "seconds_per_move": (moves > 0).then(|| busy_s / moves as f64),
     })
 }
@@ -105,6 +105,7 @@ mod tests {
         let shift = counts(&jobs, begun, begun + 2.0 * 3600.0);
         assert_eq!((shift["moves"].as_u64(), shift["moves_per_hour"].as_f64()), (Some(6), Some(6.0)));
         assert_eq!(shift["seconds_per_move"].as_f64(), Some(10.0));
+        assert_eq!(shift["busy_share"].as_f64(), Some(60.0 / 3600.0));
         let none = counts(&[], begun, begun + 3600.0);
         assert_eq!((none["moves_per_hour"].as_f64(), &none["seconds_per_move"]), (Some(0.0), &Value::Null));
     }

@@ -78,7 +78,7 @@ pub struct RoundPicture {
     pub pose: usize,
     /// Where the flange was, by the robot's word.
     pub base_from_flange: Isometry3<f64>,
-    /// `None` for eyes that have no pictures.
+    /// `None` where corners are all that is seen.
     pub image: Option<Image>,
 }
 

@@ -1,4 +1,4 @@
-//! What a closed loop may differ in: seed, eyes, network, how far planning goes, what is kept.
+//! What a closed loop may differ in: seed, camera, network, how far planning goes, what is kept.
 //!
 //! In: a seed. Out: [`Choice`], the usual one of that seed, to be changed where a run needs it.
 

@@ -1,4 +1,4 @@
-//! The whole cell in a closed loop in virtual time: machine, simulator, network, disk and eyes on one
+//! The whole cell in a closed loop in virtual time: machine, simulator, network, disk and camera on one
 //! thread.
 //!
 //! In: a [`Stage`] and a seed, then jobs, orders and faults. Out: what became of the jobs, the answers, the
@@ -79,7 +79,7 @@ pub enum PairError {
     #[error(transparent)]
     Machine(#[from] TemplateError),
     /// Camera or detector.
-    #[error("eyes: {0}")]
+    #[error("camera: {0}")]
     CameraView(String),
 }
 
@@ -257,7 +257,7 @@ impl Pair {
         self.store.submit(order);
     }
 
-    /// Has a calibration round carried out, as `celld calibrate` does; its pictures are with the eyes.
+    /// Has a calibration round carried out, as `celld calibrate` does; its pictures are with the camera.
     pub fn visit(&mut self, order: RoundOrder) {
         self.round_over = None;
         self.trace.line(self.frame, || format!("round of {} poses", order.poses.len()));

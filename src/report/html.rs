@@ -155,7 +155,10 @@ fn moves(page: &mut String, moves: &[MoveRow]) {
                 write!(page, "<td>{}</td>", or_dash(row.vacuum, |vacuum| format!("{:.0} %", vacuum * 100.0)));
         }
         let _ = match &row.unfinished {
-            Some(words) => write!(page, "<td class=\"bad\">{}</td></tr>", escape(words)),
+            Some(words) => {
+                let class = if row.anew { "soft" } else { "bad" };
+                write!(page, "<td class=\"{class}\">{}</td></tr>", escape(words))
+            }
             None => write!(page, "<td>{}</td></tr>", or_dash(row.seconds, seconds)),
         };
     }
@@ -230,6 +233,7 @@ mod tests {
                     from: Pose2::default(),
                     to: Pose2::new(0.3, 0.2, 0.5),
                     unfinished: None,
+                    anew: false,
                     seconds: Some(7.2),
                     vacuum: Some(0.62),
                 },
@@ -239,6 +243,7 @@ mod tests {
                     from: Pose2::default(),
                     to: Pose2::new(0.3, 0.2, 0.5),
                     unfinished: Some("was gripped, on its way".into()),
+                    anew: false,
                     seconds: None,
                     vacuum: None,
                 },

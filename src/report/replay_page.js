@@ -97,8 +97,9 @@ const moment = (time) => {
   return (Number.isNaN(date.getTime()) ? new Date(time * 1000) : date).toISOString();
 };
 const clock = (time) => `${moment(time).slice(11, 21)} UTC`;
-// Who opens a run that was stopped looks for that moment; any other begins at its beginning.
-const stop = run.states.find(([, state], index) => state.stopped && index > 0 && !run.states[index - 1][1].stopped);
+// Who opens a run that ended in a stop looks for that moment; any other begins at its beginning.
+const ended = run.states.at(-1)?.[1].stopped;
+const stop = ended && run.states.findLast(([, state], index) => state.stopped && index > 0 && !run.states[index - 1][1].stopped);
 let now = stop ? Math.min(length, stop[0]) : 0;
 let playing = false;
 // Its end is a whole number of steps: else the browser stops before the last moment, where a stop is.

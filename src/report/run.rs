@@ -74,6 +74,8 @@ pub struct MoveRow {
     pub to: Pose2,
     /// How far it came; `None`: it was carried out.
     pub unfinished: Option<String>,
+    /// It was given up, and the same object was picked again later: no alarm.
+    pub anew: bool,
     /// s of the cell's time, if it was carried out.
     pub seconds: Option<f64>,
     /// Relative vacuum while carrying.

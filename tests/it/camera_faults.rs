@@ -125,7 +125,10 @@ fn cell_waits_for_a_broken_camera_names_the_fault_and_goes_on() {
 
     let result = cell_in_use.job("blind", 0.40, || fault("{do: camera.off}"));
     assert!(result.contains("code: \"camera_unplugged\""), "{result}");
-    assert!(result.contains("cable") && result.contains("asked again 2 x, connected anew 2 x"), "{result}");
+    assert!(
+        result.contains("cable") && result.contains("another picture 2 x, connected anew 2 x"),
+        "{result}"
+    );
     let status = cell_in_use.status();
     assert!(status.contains("armed") && !status.contains("disarmed"), "{status}");
     fault("{do: clear}");

@@ -176,11 +176,11 @@ def pause_and_disarm_on_the_way(page, window):
     check("the badge is plain once the arm rests", not page.locator("#holding").is_visible())
     page.click("#order-arm")
     window.text("#armed", "ARMED")
-    # The rest of the plan was agreed to; where it has changed, the cell asks again.
-    asked, holding = page.locator("#order-approve"), page.locator("#holding")
-    expect(asked.or_(holding)).to_be_visible()
-    if asked.is_visible():
-        asked.click()
+    # The rest of the plan was agreed to; where it has changed, it needs a new approval.
+    approval, holding = page.locator("#order-approve"), page.locator("#holding")
+    expect(approval.or_(holding)).to_be_visible()
+    if approval.is_visible():
+        approval.click()
 
 
 def carry_out(window):

@@ -14,8 +14,10 @@ use serde::{Deserialize, Serialize};
 pub(crate) struct Notified {
     pub status: Option<Status>,
     pub route: Vec<RouteAction>,
-    /// When the robot was last seen moving, until it has been seen at rest for [`RESTS_AFTER`].
-    moved: Option<Timestamp>,
+    /// The robot was seen moving, and not yet at rest for [`RESTS_AFTER`] since.
+    moved: bool,
+    /// Since when it has been seen at rest without a gap.
+    rests_since: Option<Timestamp>,
 }
 
 /// For how long the robot is seen at rest before the status says so: at the speed that counts as rest, a
@@ -27,13 +29,14 @@ impl Notified {
     /// a person may guide it, and of one that is silent nothing else is known. It rests once it was seen to
     /// for this long.
     pub fn moves(&mut self, now: Timestamp, seen: &DeviceSnapshot, long: Duration) -> bool {
-        if let Some(robot) = seen.robot.filter(|_| seen.robot_fresh) {
-            if !robot.stands_still() {
-                self.moved = Some(now);
-            } else if self.moved.is_some_and(|at| now.since(at) >= long) {
-                self.moved = None;
-            }
+        let fresh = seen.robot.filter(|_| seen.robot_fresh);
+        if fresh.is_some_and(|robot| robot.stands_still()) {
+            let since = *self.rests_since.get_or_insert(now);
+            self.moved &= now.since(since) < long;
+        } else {
+            self.rests_since = None;
+            self.moved |= fresh.is_some();
         }
-        self.moved.is_some()
+        self.moved
     }
 }

@@ -104,9 +104,9 @@ impl Subject {
     /// # Errors
     /// What the detector says.
     pub fn taken(picture: GrayImage) -> Result<Subject, String> {
-        let mut camera_view = Detectors::new().map_err(|error| error.to_string())?;
+        let mut detectors = Detectors::new().map_err(|error| error.to_string())?;
         let [_, _, ours, one, middle, two] =
-            camera_view.see(&picture, &[]).map_err(|error| error.to_string())?;
+            detectors.see(&picture, &[]).map_err(|error| error.to_string())?;
         let all = [ours.0, one.0, middle.0, two.0];
         let mut subject = Subject { picture, markers: Vec::new(), others: Vec::new() };
         for seen in all.iter().flatten() {
@@ -162,7 +162,7 @@ pub fn run(
 
 /// All degradations of one picture.
 fn rows_of(seed: u64, number: usize, subject: &Subject, stop: &AtomicBool) -> Result<Vec<[Sums; 6]>, String> {
-    let mut camera_view = Detectors::new().map_err(|error| error.to_string())?;
+    let mut detectors = Detectors::new().map_err(|error| error.to_string())?;
     let corners: Vec<[[f64; 2]; 4]> =
         subject.markers.iter().chain(&subject.others).map(|(_, corners)| *corners).collect();
     let ids: Vec<u32> = subject.markers.iter().map(|(id, _)| *id).collect();
@@ -174,7 +174,7 @@ fn rows_of(seed: u64, number: usize, subject: &Subject, stop: &AtomicBool) -> Re
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         random.set_stream(number as u64);
         let picture = degradation.apply(&subject.picture, &corners, &mut random)?;
-        let seen = camera_view.see(&picture, &ids).map_err(|error| error.to_string())?;
+        let seen = detectors.see(&picture, &ids).map_err(|error| error.to_string())?;
         rows.push(seen.map(|(detections, ms)| subject.judge(&detections, ms)));
     }
     Ok(rows)

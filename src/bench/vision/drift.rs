@@ -141,10 +141,9 @@ pub fn run(task: Task, limits: DriftLimits, stop: &AtomicBool) -> Result<Option<
         return Ok(None);
     };
     let perception = Perception::new(bench.known.clone(), DetectSettings::default());
-    let mut camera_view = SightKind::Pictures(Box::new(perception.map_err(|error| chain(&error))?));
+    let mut sight = SightKind::Pictures(Box::new(perception.map_err(|error| chain(&error))?));
     let (rendered_trials, rendered_looks) = (task.rendered / 2, task.rendered - task.rendered / 2);
-    let Some(rendered) =
-        bench.tally([rendered_trials, rendered_looks], &mut camera_view, stop, &mut random)?
+    let Some(rendered) = bench.tally([rendered_trials, rendered_looks], &mut sight, stop, &mut random)?
     else {
         return Ok(None);
     };

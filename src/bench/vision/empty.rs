@@ -82,10 +82,10 @@ impl Report {
 pub fn run(task: &Task, stop: &AtomicBool, done: &(dyn Fn() + Sync)) -> Result<Option<Report>, String> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(task.threads).build();
     let pool = pool.map_err(|error| error.to_string())?;
-    let one = |camera_view: &mut Result<Detectors, String>, number: usize| {
-        let report = match camera_view {
+    let one = |detectors: &mut Result<Detectors, String>, number: usize| {
+        let report = match detectors {
             _ if stop.load(Ordering::Relaxed) => Ok(Report::default()),
-            Ok(camera_view) => camera_view.look(task, number),
+            Ok(detectors) => detectors.look(task, number),
             Err(error) => Err(error.clone()),
         };
         done();

@@ -226,7 +226,7 @@ fn read(path: &Path) -> Result<Touches, String> {
 /// The touches and the table by both, if touches were given.
 ///
 /// # Errors
-/// As [`TieArgs::fitted`] and [`FittedTouches::check_robot`], or a disagreement.
+/// As [`RegistrationArgs::fitted`] and [`FittedTouches::check_robot`], or a disagreement.
 pub(super) fn tied(
     config: &CellConfig,
     args: &RegistrationArgs,

@@ -242,7 +242,7 @@ mod tests {
             let fault = camera.grab().unwrap_err();
             assert_eq!((fault.kind(), requested(&log).as_str()), (FaultKind::Frozen, "gggogog"));
             let CameraError::GivenUp { tried, .. } = fault else { panic!("{fault}") };
-            assert_eq!(tried, "asked again 2 x, connected anew 2 x");
+            assert_eq!(tried, "another picture 2 x, connected anew 2 x");
         }
     }
 

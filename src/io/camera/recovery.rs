@@ -82,7 +82,7 @@ impl Tried {
 impl std::fmt::Display for Tried {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let counts = [
-            (self.retries, "asked again"),
+            (self.retries, "another picture"),
             (self.reopened, "connected anew"),
             (self.resets, "device restarted"),
         ];
@@ -131,6 +131,6 @@ mod tests {
         let tried = Tried { retries: 1, ..Tried::default() };
         assert_eq!(next(FaultKind::Repeated, false, &tried), Step::Retry(2 * PAUSE));
         let tried = Tried { retries: 2, reopened: 2, resets: 1 };
-        assert_eq!(tried.to_string(), "asked again 2 x, connected anew 2 x, device restarted 1 x");
+        assert_eq!(tried.to_string(), "another picture 2 x, connected anew 2 x, device restarted 1 x");
     }
 }

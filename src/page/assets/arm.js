@@ -142,5 +142,5 @@ function scene(three, canvas) {
   lay();
   const resized = new ResizeObserver(draw);
   resized.observe(canvas);
-  return [on("arm", move), on("sight", lay), on("status", lay), () => { resized.disconnect(); renderer.dispose(); renderer.forceContextLoss(); }];
+  return [on("arm", move), on("sight", lay), on("carried", lay), on("status", lay), () => { resized.disconnect(); renderer.dispose(); renderer.forceContextLoss(); }];
 }

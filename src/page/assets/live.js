@@ -109,7 +109,7 @@ export function tableCard() {
     if (Boolean(hanging) !== Boolean(follow)) draw();
     else if (hanging) follow(hanging);
   };
-  const stops = [on("status", draw), on("sight", draw), on("cell", draw), on("arm", along)];
+  const stops = [on("status", draw), on("sight", draw), on("cell", draw), on("carried", draw), on("arm", along)];
   draw();
   return { element, stop: () => stops.forEach((stop) => stop()) };
 }

@@ -55,6 +55,10 @@ const kinds = {
   status: (data) => { state.status = data; },
   arm: (data) => { state.arm = data; },
   sight: (data) => { state.sight = data; },
+  carried: (data) => {
+    if (state.sight) state.sight.carried = data;
+    if (state.arm) state.arm.carried = data.find(({ held }) => held) ?? null;
+  },
   control: (data) => { state.control = data; },
   vacuum: (data) => { state.vacuum = data; },
   picture: (data) => { state.picture = data; },

@@ -48,7 +48,7 @@ export const answers = h("div", { role: "status", "aria-live": "polite" }, refus
 
 /** An answer leaves after a minute, with the next one, or when it was to be read (`stays`) with the next alone:
     it is of then, not of now. A refusal stays as long as nothing else was answered, and that of a stop until a
-    stop is accepted: an arm that may still move is not hidden by an order that came after. */
+    stop is accepted, the cell rests or is armed: an arm that may still move is not hidden by a later order. */
 const OLD_MS = 60000;
 const NOTE_MS = 8000;
 
@@ -108,6 +108,12 @@ function approval(status) {
     h("button", { type: "button", id: "order-reject", disabled, click: () => give(t("Reject"), { do: "reject", id: waiting }) }, t("Reject"))));
 }
 
+/** A stop that was refused is over once the cell is known to rest, or was armed again. */
+function settled() {
+  const { status, stale } = state;
+  if (!stale && status && (status.armed || !status.moving)) refused.replaceChildren();
+}
+
 export function orders() {
   const body = h("div");
   const element = card(t("Orders"), body, answers);
@@ -141,7 +147,7 @@ export function orders() {
       // Something may hang on the gripper although the stop was left.
       (status.stopped || (status.holding && !status.armed && !status.moving)) && ways());
   };
-  const stops = [on("status", draw), on("stale", () => { drawn = ""; draw(); }), on("control", draw), on("me", draw)];
+  const stops = [on("status", settled), on("status", draw), on("stale", () => { drawn = ""; draw(); }), on("control", draw), on("me", draw)];
   draw();
   return { element, stop: () => stops.forEach((stop) => stop()) };
 }

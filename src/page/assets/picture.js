@@ -12,7 +12,7 @@ export function picture() {
   const image = h("img", { alt: t("The camera's last picture"), width: 1280, height: 720 });
   const over = s("svg", { "aria-hidden": "true" });
   const holder = h("div", { class: "picture", hidden: true }, image, over);
-  const none = h("p", { class: "soft" }, t("No picture yet: the camera is asked when the cell looks."));
+  const none = h("p", { class: "soft" }, t("No picture yet: the camera takes one when the cell looks."));
   const live = film();
   const moving = h("div", { class: "picture", hidden: true }, live.image);
   const toggle = h("button", { type: "button", id: "film", "aria-pressed": "false", click: () => turn(moving.hidden) }, t("Live"));

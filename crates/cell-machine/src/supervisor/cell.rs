@@ -207,6 +207,7 @@ impl Supervisor {
             | Input::Round(_)
             | Input::Shutdown => None,
         };
+        self.robot_seen |= devices.robot_fresh && devices.robot.is_some();
         let mut actions = self.decide(now, devices, input);
         if actions.iter().any(|action| matches!(action, Action::Robot(RobotCommand::Stream(_)))) {
             self.times.begins_path();

@@ -36,7 +36,6 @@ impl Supervisor {
         let stands = self.arm_stands(devices);
         self.stands |= stands && order.is_none();
         self.arm_settled = devices.arm_settled;
-        self.robot_seen |= fresh.is_some();
         self.back.grips = matches!(gates::empty_handed(devices), Err(GateClosed::Holding(_)));
         self.name_what_hangs(devices, out);
         for waits in std::mem::take(&mut self.until_it_stands) {

@@ -1,4 +1,4 @@
-//! What stops the cell, in words: a code for programs, a sentence and what to do for people, each trouble
+//! What stops the cell, in words: a code for programs, a sentence and what to do for people, each reason
 //! its own.
 //!
 //! In: what the controller or a device reports, whether something is held. Out: [`Reason`]s. A hint never
@@ -17,7 +17,7 @@ use cell_values::time::Timestamp;
 use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 
 impl Supervisor {
-    /// A trouble with what to do first; what comes then depends on what is held.
+    /// A reason with what to do first; what comes then depends on what is held.
     fn reason_of(&self, code: Code, message: impl Into<String>, first: &str) -> Reason {
         code.because(message, format!("{first}; {}", self.then()))
     }

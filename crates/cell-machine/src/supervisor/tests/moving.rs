@@ -113,8 +113,9 @@ fn an_arm_rests_once_it_was_seen_at_rest_for_a_while() {
     bench.silent = true;
     assert!(moves(&bench, 60_000), "nothing is known of it");
     bench.silent = false;
+    assert!(moves(&bench, 60_100), "one state at rest is the turning point of a hand");
     moving_arm(&mut bench);
-    assert!(moves(&bench, 60_100));
+    assert!(moves(&bench, 60_200));
     bench.robot.qd = [0.0; 6];
-    assert!(moves(&bench, 60_590) && !moves(&bench, 60_600));
+    assert!(moves(&bench, 60_300) && moves(&bench, 60_790) && !moves(&bench, 60_800));
 }
