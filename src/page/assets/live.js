@@ -27,17 +27,17 @@ function now() {
   const plan = status.plan;
   const left = plan?.seconds && all ? plan.seconds * Math.max(0, all - made) / all : null;
   return [
+    h("p", { class: "badges" },
+      // What is under way is finished: until then the arm moves in a cell that is disarmed or paused.
+      h("span", { class: `badge ${status.armed || status.moving ? "warn" : "good"}`, id: "armed" }, status.armed ? t("ARMED: the arm may move") : status.moving ? t("disarmed, THE ARM MAY STILL MOVE") : t("disarmed")), " ",
+      status.paused && h("span", { class: "badge warn", id: "paused" }, status.moving ? t("pausing, THE ARM MAY STILL MOVE") : t("paused")), " ",
+      status.holding && h("span", { class: "badge warn", id: "holding" }, t("in the gripper"), ": ", status.holding)),
     h("p", { class: "say", id: "message", role: "status" }, status.message),
     status.hint && h("p", { class: "hint", id: "hint" }, "→ ", here(status.hint)),
     status.shared && h("p", { class: "soft", id: "shared" }, t("Configuration shared with other cells"), ": ", status.shared),
     status.because && h("p", { class: "soft" }, status.because),
     // Nothing was looked at since celld was started: where to begin.
     !state.sight && !status.job && !status.stopped && h("p", { class: "soft", id: "begin" }, t("To begin:"), " ", h("a", { href: "#goal" }, t("Set a goal")), ". ", t("There the cell looks at the table once it is armed, and plans before it moves anything.")),
-    h("p", {},
-      // What is under way is finished: until then the arm moves in a cell that is disarmed or paused.
-      h("span", { class: `badge ${status.armed || status.moving ? "warn" : "good"}`, id: "armed" }, status.armed ? t("ARMED: the arm may move") : status.moving ? t("disarmed, THE ARM MAY STILL MOVE") : t("disarmed")), " ",
-      status.paused && h("span", { class: "badge warn", id: "paused" }, status.moving ? t("pausing, THE ARM MAY STILL MOVE") : t("paused")), " ",
-      status.holding && h("span", { class: "badge warn", id: "holding" }, t("in the gripper"), ": ", status.holding)),
     status.stopped && h("p", { class: "note wrong", id: "stopped" }, h("strong", {}, status.stopped.message), h("br"), status.stopped.hint === status.hint ? "" : here(status.stopped.hint)),
     status.job && h("div", {}, h("p", {}, h("strong", {}, t("Job {job}", { job: status.job })), all ? `: ${t("{made} of {all} moves", { made, all })}` : "", left !== null ? `, ${t("about {time} left", { time: duration(left) })}` : ""),
       all ? h("progress", { value: made, max: all, "aria-label": t("Progress of the job") }) : null),
