@@ -8,20 +8,51 @@ use crate::page::guard::Refused;
 use crate::page::shared::App;
 use crate::page::work::{beside, folder, known, recordings};
 use crate::report::html::html;
-use axum::extract::{Path, State};
+use axum::extract::{Path, Query, State};
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_SECURITY_POLICY;
 use axum::response::{Html, IntoResponse, Response};
+use serde::Deserialize;
+
+/// In which light a page is wanted: `?theme=dark`, `?theme=light`, or as the computer has it.
+#[derive(Deserialize)]
+pub struct Light {
+    theme: Option<Theme>,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Theme {
+    Light,
+    Dark,
+}
+
+impl Light {
+    /// The page, its styles for dark computers taken always or never.
+    fn of(&self, page: &str) -> String {
+        let dark = ["@media(prefers-color-scheme:dark)", "@media (prefers-color-scheme: dark)"];
+        let media = match self.theme {
+            Some(Theme::Dark) => "@media all",
+            Some(Theme::Light) => "@media not all",
+            None => return page.to_string(),
+        };
+        dark.iter().fold(page.to_string(), |page, query| page.replace(query, media))
+    }
+}
 
 /// `GET /api/v1/jobs/{id}/report`
 ///
 /// # Errors
 /// The refusal, as the API answers it.
-pub async fn report(State(app): State<App>, Path(id): Path<String>) -> Result<Response, Refused> {
+pub async fn report(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    Query(light): Query<Light>,
+) -> Result<Response, Refused> {
     let page = beside(move || -> Result<String, Refused> {
         let (journal, job, steps) = known(&app, &id)?;
         let place = folder(&app, &journal, &id);
-        Ok(html(&job_report(&job, &steps, &app.cell, place.as_deref())))
+        Ok(light.of(&html(&job_report(&job, &steps, &app.cell, place.as_deref()))))
     });
     let page = page.await??;
     // The report brings its own styles and pictures, and no script.
@@ -33,7 +64,11 @@ pub async fn report(State(app): State<App>, Path(id): Path<String>) -> Result<Re
 ///
 /// # Errors
 /// The refusal, as the API answers it.
-pub async fn playback(State(app): State<App>, Path(id): Path<String>) -> Result<Response, Refused> {
+pub async fn playback(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    Query(light): Query<Light>,
+) -> Result<Response, Refused> {
     let Ok(place) = app.planning.clone().try_acquire_owned() else {
         let message = "another recording is being read, or a plan made; try again";
         return Err(Refused::new(StatusCode::TOO_MANY_REQUESTS, message));
@@ -47,6 +82,7 @@ pub async fn playback(State(app): State<App>, Path(id): Path<String>) -> Result<
             return Err(Refused::new(StatusCode::NOT_FOUND, message));
         }
         page_of(format!("job {}", job.id), &files)
+            .map(|page| light.of(&page))
             .map_err(|message| Refused::new(StatusCode::UNPROCESSABLE_ENTITY, message))
     });
     let page = page.await??;
@@ -54,4 +90,22 @@ pub async fn playback(State(app): State<App>, Path(id): Path<String>) -> Result<
     let policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; \
                   frame-ancestors 'none'; sandbox allow-scripts";
     Ok(([(CONTENT_SECURITY_POLICY, policy)], Html(page)).into_response())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::html::html;
+    use crate::report::run::RunReport;
+
+    #[test]
+    fn a_report_is_dark_or_light_as_the_page_is() {
+        let page = html(&RunReport::default());
+        assert!(page.contains("prefers-color-scheme"));
+        let light = |theme| Light { theme }.of(&page);
+        assert_eq!(light(None), page);
+        let (dark, bright) = (light(Some(Theme::Dark)), light(Some(Theme::Light)));
+        assert!(dark.contains("@media all{:root{--ground:#17181b") && !dark.contains("prefers-color-scheme"));
+        assert!(bright.contains("@media not all{") && !bright.contains("prefers-color-scheme"));
+    }
 }

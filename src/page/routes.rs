@@ -172,12 +172,19 @@ fn work_routes(r: &mut Routes) {
     );
     r.add(get("/api/v1/jobs/{id}", View, "A job with its story, plan, steps and result"), work::job);
     r.add(
-        answers(get("/api/v1/jobs/{id}/report", View, "The job as one page"), "text/html"),
+        answers(
+            get("/api/v1/jobs/{id}/report", View, "The job as one page (theme: light or dark)"),
+            "text/html",
+        ),
         records::report,
     );
     r.add(
         answers(
-            get("/api/v1/jobs/{id}/playback", View, "What was recorded of the job, at any time of it"),
+            get(
+                "/api/v1/jobs/{id}/playback",
+                View,
+                "What was recorded of the job, at any time of it (theme: light or dark)",
+            ),
             "text/html",
         ),
         records::playback,

@@ -4,6 +4,9 @@ import { h, card, fill } from "./dom.js";
 import { api, on, state } from "./net.js";
 import { t, moment, duration, number } from "./text.js";
 
+/** Report and played-back run in the light of this page. */
+const light = () => (localStorage.getItem("theme") ? `?theme=${localStorage.getItem("theme")}` : "");
+
 const word = (stateOf) => h("strong", { class: { done: "good", failed: "bad", interrupted: "bad", cancelled: "warn" }[stateOf] ?? "" }, t(stateOf));
 
 function row(job, open) {
@@ -21,7 +24,7 @@ function detail(job) {
   return [
     h("p", { class: "say" }, word(job.state), result ? ` – ${result.message}` : ""),
     result?.hint && h("p", { class: "hint" }, "→ ", result.hint),
-    h("div", { class: "row" }, h("a", { class: "button", href: `/api/v1/jobs/${id}/report`, target: "_blank" }, t("Report")), job.recorded && h("a", { class: "button", id: "playback", href: `/api/v1/jobs/${id}/playback`, target: "_blank" }, t("Play back"))),
+    h("div", { class: "row" }, h("a", { class: "button", href: `/api/v1/jobs/${id}/report${light()}`, target: "_blank" }, t("Report")), job.recorded && h("a", { class: "button", id: "playback", href: `/api/v1/jobs/${id}/playback${light()}`, target: "_blank" }, t("Play back"))),
     h("div", { class: "grid" },
       h("div", {}, h("h3", {}, t("Story")), h("pre", { tabindex: 0 }, job.story),
         times.length ? [h("h3", {}, t("Where the time went")), h("table", {}, times.map(([what, seconds]) => h("tr", {}, h("td", {}, what), h("td", {}, `${number(seconds)} s`))))] : null,
