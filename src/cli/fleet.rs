@@ -85,7 +85,10 @@ pub fn run(command: FleetCommand, stop: &Arc<AtomicBool>) -> u8 {
             FleetCommand::Forget(args) => jobs::forget(&args).await,
             FleetCommand::Why(args) => jobs::why(&args).await,
             FleetCommand::Config(command) => config::run(&command).await,
-            FleetCommand::Fetch(args) => fetch::fetch(&args).await,
+            FleetCommand::Fetch(args) => tokio::select! {
+                done = fetch::fetch(&args) => done,
+                Ok(()) = tokio::signal::ctrl_c() => Err(Failure::Stopped),
+            },
             FleetCommand::Export(args) => export::export(&args).await,
             FleetCommand::Metrics(args) => export::metrics(&args).await,
         }
