@@ -1,7 +1,7 @@
 //! The demo while it runs: what is kept of it, its recording, and what it shows the person in front of the
 //! screen.
 //!
-//! In: the daemon's events. Out: [`Watch::kept`], from which the report is made, a recording, and lines on
+//! In: the daemon's events. Out: [`DemoObserver::kept`], from which the report is made, a recording, and lines on
 //! stderr.
 
 use crate::daemon::messages::Displayed;
