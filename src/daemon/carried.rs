@@ -22,6 +22,8 @@ pub struct CarriedView {
     pub bottom_m: f64,
     /// It hangs on the gripper; otherwise it was let go there.
     pub held: bool,
+    /// It fell from there, or a person has it: where it is now is not known.
+    pub lost: bool,
 }
 
 /// What is let go from higher than this falls, or is taken: where it is then is not known, m.
@@ -57,7 +59,10 @@ impl Carried {
         for object in &mut self.objects {
             object.held = self.held.as_ref().is_some_and(|(id, _)| *id == object.id);
         }
-        self.objects.retain(|object| object.held || object.bottom_m <= PLACED_WITHIN_M);
+        for object in self.objects.iter_mut().filter(|object| !object.held) {
+            object.lost |= object.bottom_m > PLACED_WITHIN_M;
+            object.bottom_m = 0.0;
+        }
         true
     }
 
@@ -72,6 +77,7 @@ impl Carried {
             pose: Pose2::new(at.x, at.y, along.y.atan2(along.x)).compose(tool_from_object),
             bottom_m: (at.z - height).max(0.0),
             held: true,
+            lost: false,
         };
         match self.objects.iter_mut().find(|object| object.id == *id) {
             Some(object) => *object = view,
@@ -118,7 +124,7 @@ mod tests {
         let hangs = Pose2::new(0.01, 0.0, 0.2);
         let mut carried = Carried::default();
         assert!(carried.hangs(Some(("lid", Some(hangs)))) && !carried.hangs(Some(("lid", Some(hangs)))));
-        let at = |held| CarriedView { id: "lid".into(), pose: hangs, bottom_m: 0.001, held };
+        let at = |held| CarriedView { id: "lid".into(), pose: hangs, bottom_m: 0.0, held, lost: false };
         carried.objects.push(at(true));
         carried.seen(&sight(&["lid"]), false);
         assert_eq!(
@@ -140,7 +146,11 @@ mod tests {
         assert!(carried.objects().is_empty(), "nor is it anywhere on the table");
         assert!(carried.hangs(Some(("lid", Some(hangs)))));
         carried.objects.push(CarriedView { bottom_m: 0.2, ..at(true) });
-        assert!(carried.hangs(None) && carried.objects().is_empty(), "it fell, or a person has it");
+        assert!(carried.hangs(None));
+        let lost = CarriedView { lost: true, ..at(false) };
+        assert_eq!(carried.objects(), [lost], "it fell, or a person has it");
+        carried.seen(&sight(&["lid"]), true);
+        assert!(carried.objects().is_empty());
         assert!(
             !carried.hangs(Some(("lid", None))),
             "how it hangs is not known: it is shown where it was seen"

@@ -112,10 +112,12 @@ impl RecordingsFolder {
         let current = current.and_then(|path| path.file_name()).map(|name| name.to_string_lossy());
         let old = idle_surplus(&kept);
         let beyond = surplus(&kept, current.as_deref(), self.budget, self.reserve.saturating_sub(free));
-        for name in old.into_iter().chain(beyond) {
+        let old = old.into_iter().map(|name| (name, "there are newer ones without a job"));
+        let beyond = beyond.into_iter().map(|name| (name, "for the budget and the reserve"));
+        for (name, why) in old.chain(beyond) {
             let path = self.folder.join(&name);
             match std::fs::remove_file(&path) {
-                Ok(()) => tracing::info!("recording {name} was removed, for the budget and the reserve"),
+                Ok(()) => tracing::info!("recording {name} was removed: {why}"),
                 Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
                 Err(error) => tracing::warn!("{}: {error}", path.display()),
             }

@@ -246,6 +246,11 @@ impl Feed {
         last.seen.as_ref().map(|sight| sight_view(&sight.seen, sight.unix_s, &last.carried))
     }
 
+    /// What the arm has carried since it was seen.
+    pub fn carried(&self) -> Vec<CarriedView> {
+        self.last().carried.clone()
+    }
+
     /// What was said, the newest last.
     pub fn sentences(&self) -> Vec<Sentence> {
         self.last().sentences.iter().cloned().collect()

@@ -297,6 +297,14 @@ fn planned(app: &Shared, text: &str) -> Result<Value, Refused> {
     let spec = read(app, text)?;
     let order = job_order(&app.cell, "draft", &spec, &spec.goal, &[])
         .map_err(|message| Refused::new(StatusCode::UNPROCESSABLE_ENTITY, message))?;
+    if let Some(object) = app.feed.carried().first() {
+        let message =
+            format!("{} was carried since the table was seen: where it lies now is not measured", object.id);
+        return Err(Refused::new(StatusCode::CONFLICT, message).with(
+            "not_seen".to_string(),
+            "press Look at the table, or submit: the cell looks first".into(),
+        ));
+    }
     let started = Instant::now();
     let limit = order.time_limit.min(DRAFT_WITHIN);
     let over = |attempt: u32| started.elapsed() >= limit * (attempt + 1);

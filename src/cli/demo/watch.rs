@@ -1,8 +1,8 @@
 //! The demo while it runs: what is kept of it, its recording, and what it shows the person in front of the
 //! screen.
 //!
-//! In: the daemon's events. Out: [`DemoObserver::kept`], from which the report is made, a recording, and lines on
-//! stderr.
+//! In: the daemon's events. Out: [`DemoObserver::kept`], from which the report is made, a recording, and
+//! lines on stderr.
 
 use crate::daemon::messages::Displayed;
 use crate::daemon::recorder::Recorder;

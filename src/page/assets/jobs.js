@@ -2,7 +2,7 @@
 
 import { h, card, fill } from "./dom.js";
 import { api, on, state } from "./net.js";
-import { t, moment, duration, number } from "./text.js";
+import { here, t, moment, duration, number } from "./text.js";
 
 /** Report and played-back run in the light of this page. */
 const light = () => (localStorage.getItem("theme") ? `?theme=${localStorage.getItem("theme")}` : "");
@@ -23,7 +23,7 @@ function detail(job) {
   const image = (name, words) => job.files.includes(name) && h("figure", {}, h("img", { src: `/api/v1/jobs/${id}/files/${name}`, alt: words, width: "100%" }), h("figcaption", { class: "soft" }, words));
   return [
     h("p", { class: "say" }, word(job.state), result ? ` – ${result.message}` : ""),
-    result?.hint && h("p", { class: "hint" }, "→ ", result.hint),
+    result?.hint && h("p", { class: "hint" }, "→ ", here(result.hint)),
     h("div", { class: "row" }, h("a", { class: "button", href: `/api/v1/jobs/${id}/report${light()}`, target: "_blank" }, t("Report")), job.recorded && h("a", { class: "button", id: "playback", href: `/api/v1/jobs/${id}/playback${light()}`, target: "_blank" }, t("Play back"))),
     h("div", { class: "grid" },
       h("div", {}, h("h3", {}, t("Story")), h("pre", { tabindex: 0 }, job.story),

@@ -32,13 +32,15 @@ function now() {
       h("span", { class: `badge ${status.armed || status.moving ? "warn" : "good"}`, id: "armed" }, status.armed ? t("ARMED: the arm may move") : status.moving ? t("disarmed, THE ARM MAY STILL MOVE") : t("disarmed")), " ",
       status.paused && h("span", { class: "badge warn", id: "paused" }, status.moving ? t("pausing, THE ARM MAY STILL MOVE") : t("paused")), " ",
       status.holding && h("span", { class: "badge warn", id: "holding" }, t("in the gripper"), ": ", status.holding)),
-    h("p", { class: "say", id: "message", role: "status" }, status.message),
+    h("p", { class: "say", id: "message", role: "status" }, status.stopped && !status.armed && status.message === "idle" ? t("stopped") : status.message),
     status.hint && h("p", { class: "hint", id: "hint" }, "→ ", here(status.hint)),
+    !status.hint && status.holding && !status.armed && !status.moving && h("p", { class: "hint" }, "→ ", t("Something hangs on the gripper: the ways back are below the orders.")),
     status.shared && h("p", { class: "soft", id: "shared" }, t("Configuration shared with other cells"), ": ", status.shared),
     status.because && h("p", { class: "soft" }, status.because),
     // Nothing was looked at since celld was started: where to begin.
-    !state.sight && !status.job && !status.stopped && h("p", { class: "soft", id: "begin" }, t("To begin:"), " ", h("a", { href: "#goal" }, t("Set a goal")), ". ", t("There the cell looks at the table once it is armed, and plans before it moves anything.")),
-    status.stopped && h("p", { class: "note wrong", id: "stopped" }, h("strong", {}, status.stopped.message), h("br"), status.stopped.hint === status.hint ? "" : here(status.stopped.hint)),
+    !state.sight && !status.job && !status.stopped && !status.holding && h("p", { class: "soft", id: "begin" }, t("To begin:"), " ", h("a", { href: "#goal" }, t("Set a goal")), ". ", t("There the cell looks at the table once it is armed, and plans before it moves anything.")),
+    // On a way back it is being left.
+    status.stopped && !status.armed && h("p", { class: "note wrong", id: "stopped" }, h("strong", {}, status.stopped.message), h("br"), status.stopped.hint === status.hint ? "" : here(status.stopped.hint)),
     status.job && h("div", {}, h("p", {}, h("strong", {}, t("Job {job}", { job: status.job })), all ? `: ${t("{made} of {all} moves", { made, all })}` : "", left !== null ? `, ${t("about {time} left", { time: duration(left) })}` : ""),
       all ? h("progress", { value: made, max: all, "aria-label": t("Progress of the job") }) : null),
     h("p", { class: "soft" }, status.job ? t("{count} more jobs wait", { count: status.waiting }) : t("{count} jobs wait", { count: status.waiting }), status.unread ? `, ${t("{count} files are not read yet", { count: status.unread })}` : ""),
@@ -84,6 +86,7 @@ export function tableCard() {
     const moved = count ? [] : carried();
     for (const { id, pose } of moved) poses.set(id, pose);
     const unseen = new Set(moved.map(({ id }) => id));
+    const lost = new Set(moved.filter((object) => object.lost).map(({ id }) => id));
     const hanging = moved.find(({ held }) => held);
     const made = moving ? (status.step?.[0] ?? 0) : count;
     const steps = plan?.steps ?? [];
@@ -91,10 +94,10 @@ export function tableCard() {
     const buffers = steps.filter(({ kind }) => kind !== "goal");
     const drawing = view();
     drawing.setAttribute("aria-label", t("The table from above: {count} objects, {moves} moves planned", { count: poses.size, moves: steps.length }));
-    drawing.append(ground(), s("g", {}, [...poses].filter(([id]) => id !== hanging?.id).map(([id, pose]) => outline(id, pose, unseen.has(id) ? "now t-unseen" : "now"))),
+    drawing.append(ground(), s("g", {}, [...poses].filter(([id]) => id !== hanging?.id).map(([id, pose]) => outline(id, pose, lost.has(id) ? "now t-lost" : unseen.has(id) ? "now t-unseen" : "now"))),
       s("g", {}, [...goals].map(([id, pose]) => outline(id, pose, "goal")), buffers.map(({ object: id, to }) => outline(id, to, "goal"))),
       s("g", {}, (seen?.foreign ?? []).map(foreign)), s("g", {}, arrows(steps, made)),
-      labels([...numbers(steps, made), ...[...poses].filter(([id]) => id !== hanging?.id).map(([id, pose]) => ({ text: id, at: at(object(id)?.centre ?? [0, 0], pose) }))]));
+      labels([...numbers(steps, made), ...[...poses].filter(([id]) => id !== hanging?.id).map(([id, pose]) => ({ text: lost.has(id) ? `${id} ?` : id, at: at(object(id)?.centre ?? [0, 0], pose) }))]));
     follow = hanging ? onTheGripper(drawing, hanging.id) : null;
     follow?.(hanging);
     fill(holder, drawing);

@@ -51,7 +51,7 @@ function drawBar() {
   const [screen] = location.hash.slice(1).split("/");
   const shown = screens[screen] ? screen : "live";
   fill(bar,
-    h("h1", {}, h("img", { src: "/icon.svg", alt: "", width: 28, height: 28 }), h("span", { class: "name" }, state.cell.name, state.cell.simulated ? ` (${t("simulated")})` : "")),
+    h("h1", {}, h("img", { src: "/icon.svg", alt: "", width: 28, height: 28 }), h("span", { class: "name" }, state.cell.name), state.cell.simulated && h("span", { class: "simulated" }, `(${t("simulated")})`)),
     h("nav", { "aria-label": t("Screens") }, Object.entries(screens).map(([name, [title]]) => h("a", { href: "#" + name, "aria-current": name === shown ? "page" : null }, t(title)))),
     h("span", { class: "fill" }),
     h("span", { class: "who" }, `${state.me.name}, ${t(state.me.role)}`),
@@ -85,7 +85,10 @@ async function start() {
     if (location.hash.startsWith("#ticket=")) { await redeem(); location.reload(); return; }
     show();
   });
-  on("stale", () => { document.getElementById("stale").hidden = !state.stale; });
+  on("stale", () => {
+    document.getElementById("stale").hidden = !state.stale;
+    document.body.classList.toggle("stale", state.stale);
+  });
 }
 
 // What is there is painted before anything is computed; a page in the background does not paint.

@@ -9,11 +9,12 @@ const HOLD_MS = 1200;
 
 /** A button that acts when it was held down, by finger, mouse or key. */
 export function hold(label, act, attributes = {}) {
-  let timer = null;
+  let [timer, since] = [null, 0];
   const button = h("button", { type: "button", class: "hold", "aria-description": t("hold for a second"), ...attributes }, label);
   const begin = () => {
     if (timer || button.disabled) return;
     button.classList.add("holding");
+    since = performance.now();
     window.addEventListener("pointerup", end);
     window.addEventListener("pointercancel", end);
     // A button that was replaced meanwhile is not held any more, whatever the finger does.
@@ -26,7 +27,13 @@ export function hold(label, act, attributes = {}) {
     }, HOLD_MS);
   };
   const end = (event) => {
-    if (timer && (event?.type === "pointerup" || event?.type === "keyup")) clicked(label);
+    const letGo = event?.type === "pointerup" || event?.type === "keyup";
+    // By the clock: on a busy computer the timer comes late.
+    if (timer && letGo && performance.now() - since >= HOLD_MS) {
+      clearTimeout(timer);
+      timer = null;
+      if (button.isConnected && !button.disabled) act();
+    } else if (timer && letGo) clicked(label);
     clearTimeout(timer);
     timer = null;
     window.removeEventListener("pointerup", end);
@@ -54,7 +61,7 @@ const NOTE_MS = 8000;
 
 export function answered(what, { accepted, message }, { stops = false, stays = false } = {}) {
   const kept = stops && !accepted;
-  const said = h("p", { class: accepted ? "note" : "note wrong", id: kept ? "answer-stop" : "answer" }, h("time", { class: "soft" }, time(Date.now() / 1000)), " ", h("strong", {}, what + ": "), here(message));
+  const said = h("p", { class: !accepted ? "note wrong" : stays ? "note" : "note over", id: kept ? "answer-stop" : "answer" }, h("time", { class: "soft" }, time(Date.now() / 1000)), " ", h("strong", {}, what + ": "), here(message));
   note.replaceChildren();
   if (stops) refused.replaceChildren();
   latest.replaceChildren();
@@ -87,12 +94,12 @@ function button(label, command, enabled, attributes = {}) {
   return h("button", { type: "button", id: "order-" + command.do, disabled: !enabled, click: () => give(label, command), ...attributes }, label);
 }
 
-function ways() {
-  const way = (how, label) => hold(label, () => give(label, { do: "recover", how }), { id: "recover-" + how, disabled: state.stale || !may("operate") });
+function ways(status) {
+  const way = (how, label, possible = true) => hold(label, () => give(label, { do: "recover", how }), { id: "recover-" + how, disabled: state.stale || !may("operate") || !possible });
   return h("div", {}, h("h3", {}, t("Leave the stop")),
     h("div", { class: "row" },
       h("button", { type: "button", id: "recover-show", disabled: state.stale || !may("operate"), click: () => give(t("Leave the stop"), { do: "recover", how: "show" }) }, t("What happened?")),
-      way("place", t("Put it down")), way("hold", t("Keep holding")), way("retreat", t("Straight up")), way("release", t("Let go (hold it by hand)"))),
+      way("place", t("Put it down"), Boolean(status.holding)), way("hold", t("Keep holding")), way("retreat", t("Straight up")), way("release", t("Let go (hold it by hand)"))),
     h("p", { class: "soft" }, t("A way back is held down for a second. Each is your word that the cell is safe; afterwards it is disarmed.")));
 }
 
@@ -108,9 +115,15 @@ function approval(status) {
     h("button", { type: "button", id: "order-reject", disabled, click: () => give(t("Reject"), { do: "reject", id: waiting }) }, t("Reject"))));
 }
 
-/** A stop that was refused is over once the cell is known to rest, or was armed again. */
+let before = {};
+
+/** A stop that was refused is over once the cell is known to rest, or was armed again. What an order began is
+    over with a stop, and with its job. */
 function settled() {
   const { status, stale } = state;
+  const began = latest.querySelector("#answer.over");
+  if (began && status && ((status.stopped && !before.stopped) || (before.job && status.job !== before.job))) began.remove();
+  before = status ?? before;
   if (!stale && status && (status.armed || !status.moving)) refused.replaceChildren();
 }
 
@@ -135,7 +148,7 @@ export function orders() {
       approval(status),
       h("div", { class: "row" },
         // Each in its place whatever the state is: a second press never means the opposite.
-        button(t("Arm"), { do: "arm" }, can && !status.armed, { class: status.armed || status.moving || status.stopped ? null : "first" }),
+        button(t("Arm"), { do: "arm" }, can && !status.armed, { class: status.armed || status.moving || status.stopped || status.holding ? null : "first" }),
         button(t("Disarm"), { do: "disarm" }, true),
         button(t("Pause"), { do: "pause" }, !status.paused && status.state !== "starting"),
         button(t("Resume"), { do: "resume" }, can && status.paused, { class: status.paused ? "first" : null }),
@@ -145,7 +158,7 @@ export function orders() {
         status.job && button(t("Cancel the job"), { do: "cancel", id: status.job }, can),
         hold(t("Release the vacuum"), () => give(t("Release"), { do: "release", channel: null }), { id: "order-release", disabled: !can })),
       // Something may hang on the gripper although the stop was left.
-      (status.stopped || (status.holding && !status.armed && !status.moving)) && ways());
+      !status.armed && (status.stopped || (status.holding && !status.moving)) && ways(status));
   };
   const stops = [on("status", settled), on("status", draw), on("stale", () => { drawn = ""; draw(); }), on("control", draw), on("me", draw)];
   draw();
