@@ -409,7 +409,7 @@ impl Rules {
             }
             Order::Abort => !mode.armed() && (!accepted || !self.moved),
             Order::Pause => !accepted || mode.paused(),
-            Order::Resume => !accepted || !mode.paused(),
+            Order::Resume => !accepted || !(mode.paused() || mode.pauses_after_this_move()),
             Order::Park | Order::Step => !accepted || mode.armed(),
             Order::Release(_) | Order::Recover(WayBack::Release) => {
                 let channels = if let Order::Release(channels) = order { channels } else { Channels::Both };

@@ -72,6 +72,11 @@ impl Mode {
         }
     }
 
+    /// A pause follows the next pick-n-place.
+    pub fn pauses_after_this_move(&self) -> bool {
+        matches!(self, Mode::Armed { pace: Pace::OneMove, .. })
+    }
+
     /// The arm is to be parked.
     pub fn parks(&self) -> bool {
         matches!(self, Mode::Armed { park: true, .. })

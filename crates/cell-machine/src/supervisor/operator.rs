@@ -43,6 +43,10 @@ impl Supervisor {
                     "celld was not paused: the arm is held at the pendant, by pause or by the speed slider";
                 return Some(Reply::refuse(why));
             }
+            Order::Resume if self.mode.pauses_after_this_move() => {
+                self.mode.set_pace(Pace::Running);
+                return Some(Reply::accept("goes on: no pause follows this pick-n-place"));
+            }
             Order::Resume if !self.mode.paused() => return Some(Reply::accept("nothing was paused")),
             Order::Resume => self.mode.set_pace(Pace::Running),
             Order::Step if !self.mode.armed() => return Some(self.not_armed(devices, "no step")),

@@ -156,10 +156,13 @@ impl Supervisor {
                 "{first}the arm goes straight up; where it is high enough over the table already, it does \
                  not move"
             ),
-            WayBack::Place => format!(
-                "{first}the arm goes straight up, looks at the table and puts {object} down at its place or \
-                 the nearest free one"
-            ),
+            WayBack::Place => {
+                let meant = self.back.held.as_ref().map_or_else(String::new, |held| place_words(&held.to));
+                format!(
+                    "{first}the arm goes straight up, looks at the table and puts {object} down where it was \
+                     to go{meant}, or at the nearest free place"
+                )
+            }
         }
     }
 
@@ -367,12 +370,8 @@ impl Supervisor {
             BackStage::Leaving => {
                 let place = self.back.recovery.as_ref().and_then(|recovery| recovery.place.as_ref());
                 let said = place.map_or_else(String::new, |place| {
-                    let Pose2 { x, y, theta } = place.to;
-                    let which = if place.meant { "its place" } else { "the nearest free place" };
-                    let degrees = theta.to_degrees();
-                    format!(
-                        "the object was put down at {which}, x {x:.3} m, y {y:.3} m, {degrees:.0} degrees"
-                    )
+                    let which = if place.meant { "where it was to go" } else { "at the nearest free place" };
+                    format!("the object was put down {which}{}", place_words(&place.to))
                 });
                 self.end_recovery(Ok(said), out);
             }
@@ -485,4 +484,8 @@ impl Supervisor {
 /// The arm is in a protective stop.
 pub(crate) fn protective(devices: &DeviceSnapshot) -> bool {
     devices.robot.is_some_and(|robot| robot.safety_mode == SafetyMode::ProtectiveStop)
+}
+/// A place on the table, as what follows the name of it.
+fn place_words(Pose2 { x, y, theta }: &Pose2) -> String {
+    format!(" (x {:.0} mm, y {:.0} mm, {:.0} degrees)", x * 1e3, y * 1e3, theta.to_degrees())
 }
