@@ -156,6 +156,9 @@ TESTED := --workspace
 SHARED := celld cell-calibration cell-fleet cell-machine cell-motion cell-vision
 CELLS := test(/(^|::)cell_/) | test(/^robot_session::/)
 UNITS_LOG := $(BUILD)/units.log
+# The cell in virtual time: a long wait for the processor changes nothing.
+LOOPS := test(/^(closed_loop|first_moves|looks|mutants|replay|sights|ways_back)::/) - ($(CELLS))
+LOOPS_LOG := $(BUILD)/loops.log
 
 # Which part of the faults and of the orders in all states is tried: any other one with another commit,
 # without git with another day.
@@ -179,12 +182,16 @@ test: setup tidy
 	  sync; \
 	  echo "cargo nextest run"; \
 	  idle="chrt --idle 0"; $$idle true 2>/dev/null || idle="nice -n 19"; \
-	  $$idle cargo test --quiet --no-fail-fast $(SHARED:%=-p %) --lib -- --test-threads 2 --skip realsense::tests:: \
-	    >$(UNITS_LOG) 2>&1 & units=$$!; \
+	  { logs=; \
+	    $$idle cargo test --quiet --no-fail-fast $(SHARED:%=-p %) --lib -- --test-threads 2 --skip realsense::tests:: \
+	      >$(UNITS_LOG) 2>&1 || logs=$(UNITS_LOG); \
+	    $$idle cargo nextest run $(TESTED) -E '$(LOOPS)' >$(LOOPS_LOG) 2>&1 || logs="$$logs $(LOOPS_LOG)"; \
+	    [ -z "$$logs" ] || { cat $$logs; exit 1; }; } & beside=$$!; \
 	  failed=0; cargo nextest run $(TESTED) --profile cells --test-threads 4 -E '$(CELLS)' || failed=1; \
-	  wait $$units || { failed=1; cat $(UNITS_LOG); }; \
+	  wait $$beside || failed=1; \
 	  grep '^test result' $(UNITS_LOG) || true; \
-	  cargo nextest run $(TESTED) -E 'not (test(/^third_party::/) | package(cell-fleet) | $(CELLS) | (kind(lib) & ($(foreach crate,$(SHARED),package($(crate)) |) none()) - $(SDK)))' || failed=1; \
+	  sed -n '/Summary/,$$p' $(LOOPS_LOG); \
+	  cargo nextest run $(TESTED) -E 'not (test(/^third_party::/) | package(cell-fleet) | $(CELLS) | $(LOOPS) | (kind(lib) & ($(foreach crate,$(SHARED),package($(crate)) |) none()) - $(SDK)))' || failed=1; \
 	  [ $$failed = 0 ]; \
 	else \
 	  echo "cargo test"; \
