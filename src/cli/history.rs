@@ -145,7 +145,8 @@ pub(super) fn why(args: &WhyArgs) -> Result<u8, ClientError> {
         None => journal.job_of_file(&args.job)?,
     };
     if let Some(job) = job {
-        cell_edge::terminal::print(&story(&job, &journal.steps(&job.id)?));
+        let is_last = journal.begun_last()?.as_deref() == Some(&job.id);
+        cell_edge::terminal::print(&story(&job, &journal.steps(&job.id)?, is_last));
         cell_edge::terminal::print(&more(&state, &job.id)?);
         return Ok(0);
     }

@@ -8,6 +8,8 @@ mod screen;
 use crate::cli::client::{ClientError, StateArg, complain, exit_2};
 use crate::cli::watch::screen::Screen;
 use crate::jobs::changes::changes;
+use crate::jobs::journal::Journal;
+use crate::jobs::record::JobResult;
 use crate::jobs::state::StateFolder;
 use crate::jobs::status::Status;
 use crate::jobs::utc;
@@ -21,6 +23,9 @@ use std::time::Duration;
 
 /// How often the status is read.
 const EVERY: Duration = Duration::from_millis(100);
+
+/// How often the journal is read for how a job ended.
+const OUTCOME_TRIES: usize = 10;
 
 /// Arguments of `celld watch`.
 #[derive(Args, Debug)]
@@ -77,11 +82,13 @@ fn show(
         let unix_s = unix_now_s();
         match (screen.status(), &now) {
             (Some(before), Some(now)) => {
-                for change in changes(before, now) {
-                    screen.note(unix_s, &change);
-                }
+                let lines = news(state, before, now);
+                lines.iter().for_each(|change| screen.note(unix_s, change));
             }
-            (Some(_), None) => screen.note(unix_s, "the daemon has ended"),
+            (Some(before), None) => {
+                let lines = ending(state, before);
+                lines.iter().for_each(|change| screen.note(unix_s, change));
+            }
             (None, Some(now)) => screen.note(unix_s, &format!("celld {} runs", now.daemon)),
             (None, None) => {}
         }
@@ -110,8 +117,10 @@ fn lines(state: &StateFolder, stop: &Arc<AtomicBool>) -> u8 {
     while !stop.load(Ordering::Relaxed) {
         match (read(state), &last) {
             (Err(error), _) => return complain(&error),
-            (Ok(None), Some(_)) => {
-                line("the daemon has ended");
+            (Ok(None), Some(before)) => {
+                if !ending(state, before).iter().all(|change| line(change)) {
+                    return 0;
+                }
                 last = None;
                 told_absent = true;
             }
@@ -122,7 +131,7 @@ fn lines(state: &StateFolder, stop: &Arc<AtomicBool>) -> u8 {
             (Ok(None), None) => {}
             (Ok(Some(now)), before) => {
                 match before {
-                    Some(before) if !changes(before, &now).iter().all(|change| line(change)) => return 0,
+                    Some(before) if !news(state, before, &now).iter().all(|change| line(change)) => return 0,
                     Some(_) => {}
                     None => _ = line(&now.text()),
                 }
@@ -134,7 +143,66 @@ fn lines(state: &StateFolder, stop: &Arc<AtomicBool>) -> u8 {
     0
 }
 
+/// What has changed, and how a job that is over has ended.
+fn news(state: &StateFolder, before: &Status, now: &Status) -> Vec<String> {
+    let mut lines = changes(before, now);
+    let over = before.job.as_ref().filter(|_| before.job != now.job);
+    lines.extend(over.and_then(|job| outcome(state, job)));
+    lines
+}
+
+/// What the daemon wrote last, and that it has ended.
+fn ending(state: &StateFolder, before: &Status) -> Vec<String> {
+    let written = Status::read(&state.status()).ok().flatten();
+    let last = written.filter(|last| last.daemon == before.daemon).unwrap_or_else(|| before.clone());
+    let mut lines = news(state, before, &last);
+    lines.push(match last.armed || last.moving {
+        true => format!("the daemon has ended; its last status says: {}", last.mode()),
+        false => "the daemon has ended; the arm was at rest".to_string(),
+    });
+    lines
+}
+
+/// How a job ended, as soon as the journal has it: the status may be a little ahead of it.
+fn outcome(state: &StateFolder, job: &str) -> Option<String> {
+    let result = || Journal::open_to_read(&state.journal()).ok()?.job(job).ok()??.result;
+    let tries = std::iter::repeat_with(result).take(OUTCOME_TRIES);
+    let result = tries
+        .inspect(|found| {
+            if found.is_none() {
+                std::thread::sleep(EVERY)
+            }
+        })
+        .flatten()
+        .next()?;
+    let JobResult { status, message, moves, seconds, .. } = result;
+    Some(format!("job {job}: {status}, {message} ({moves} moves, {seconds:.0} s)"))
+}
+
 /// False when there is no reader any more.
 fn line(text: &str) -> bool {
     cell_edge::terminal::prints(&format!("{}  {text}\n", utc::text(unix_now_s())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_daemon_wrote_last_is_read_although_it_has_ended() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let state = StateFolder::new(folder.path());
+        let stopping = Status { daemon: "celld-1".into(), moving: true, ..Status::default() };
+        let cut_off = ending(&state, &stopping);
+        assert_eq!(cut_off, ["the daemon has ended; its last status says: disarmed, THE ARM MAY STILL MOVE"]);
+        let rests = Status { moving: false, ..stopping.clone() };
+        rests.write(&state.status()).expect("written");
+        assert_eq!(
+            ending(&state, &stopping),
+            ["the arm is at rest", "the daemon has ended; the arm was at rest"],
+            "the last status came with the end"
+        );
+        Status { daemon: "celld-2".into(), ..rests }.write(&state.status()).expect("written");
+        assert_eq!(ending(&state, &stopping), cut_off, "another daemon's says nothing of this one");
+    }
 }

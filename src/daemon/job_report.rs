@@ -168,7 +168,7 @@ mod tests {
             tool_from_object: None,
             table: Vec::new(),
         };
-        StepRecord { step, intent, phase, changed_unix_s: 10.0 * f64::from(step) }
+        StepRecord { step, intent, phase, changed_unix_s: 10.0 * f64::from(step), gripped_unix_s: None }
     }
 
     #[test]

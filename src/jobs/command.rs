@@ -109,6 +109,9 @@ pub struct SignIn {
     pub name: Option<String>,
     /// A token for a program, for so many days; absent: a link that signs a browser in once.
     pub token_days: Option<u32>,
+    /// The link is for a browser of who gives the command, on this computer, and counts for no other.
+    #[serde(default)]
+    pub own_browser: bool,
 }
 
 /// A suction channel.
@@ -403,7 +406,15 @@ mod tests {
             (Command::Recover { how: WayBack::Show }, false),
             (Command::ConfirmGripper, false),
             (Command::Calibrate, false),
-            (Command::SignIn(SignIn { role: Role::View, name: None, token_days: None }), false),
+            (
+                Command::SignIn(SignIn {
+                    role: Role::View,
+                    name: None,
+                    token_days: None,
+                    own_browser: false,
+                }),
+                false,
+            ),
         ];
         for (command, always) in commands {
             // Read in time, late, stamped on another clock, and stamped with no number at all.

@@ -4,7 +4,7 @@
 //! In: a filter as a person writes it; a job's record and its steps. Out: the clause for the database; lines
 //! of text with dates. Pure.
 
-use crate::jobs::record::{GoalPose, JobRecord, JobState, StepKind, StepPhase, StepRecord};
+use crate::jobs::record::{GoalPose, JobRecord, JobState, StepIntent, StepKind, StepPhase, StepRecord};
 use crate::jobs::utc;
 use std::fmt::Write as _;
 
@@ -29,14 +29,14 @@ pub fn since(text: &str, now_unix_s: f64) -> Option<f64> {
     ago.or_else(|| utc::parse(text)).or_else(|| utc::parse(&format!("{text}T00:00:00Z")))
 }
 
-/// The story of a job.
-pub fn story(job: &JobRecord, steps: &[StepRecord]) -> String {
-    let mut text = head(job);
+/// The story of a job; whether it is the one that was begun last, so that its hint is of now.
+pub fn story(job: &JobRecord, steps: &[StepRecord], is_last: bool) -> String {
+    let mut text = head(job, is_last);
     for (unix_s, what) in story_lines(job, steps) {
         let time = unix_s.map_or_else(|| " ".repeat(20), utc::text);
         let _ = writeln!(text, "{time}  {what}");
     }
-    text.push_str(&objects(job));
+    text.push_str(&objects(job, steps));
     text
 }
 
@@ -63,7 +63,18 @@ pub fn story_lines(job: &JobRecord, steps: &[StepRecord]) -> Vec<(Option<f64>, S
         }
     }
     for step in steps {
-        at(Some(step.changed_unix_s), format!("{}. {}", step.step, step_words(step)));
+        let mut of_step = |unix_s: f64, how_far: &str| {
+            at(Some(unix_s), format!("{}. {} {how_far}", step.step, step.intent.object));
+        };
+        // Of what did not end well each part has its time.
+        let gripped = step.gripped_unix_s.filter(|_| match step.phase {
+            StepPhase::Released | StepPhase::Abandoned => true,
+            StepPhase::Intent | StepPhase::Gripped | StepPhase::Done => false,
+        });
+        if let Some(unix_s) = gripped {
+            of_step(unix_s, &reached(&step.intent, StepPhase::Gripped));
+        }
+        of_step(step.changed_unix_s, &how_far(step));
     }
     if let Some(result) = &job.result {
         let used: Vec<_> = result.times.iter().map(|(what, s)| format!("{what} {s:.1}")).collect();
@@ -96,30 +107,33 @@ pub fn planned_moves(job: &JobRecord, steps: &[StepRecord]) -> Option<usize> {
 }
 
 /// What matters first: how it ended and what to do.
-fn head(job: &JobRecord) -> String {
+fn head(job: &JobRecord, is_last: bool) -> String {
+    let ended = job.ended_unix_s.map_or_else(String::new, |at| format!(", {}", utc::text(at)));
     let mut text = match &job.result {
-        Some(result) => format!("{}: {} ({})\n{}\n", job.id, job.state, result.code, result.message),
-        None => format!("{}: {}\n", job.id, job.state),
+        Some(result) => {
+            format!("{}: {} ({}){ended}\n{}\n", job.id, job.state, result.code, result.message)
+        }
+        None => format!("{}: {}{ended}\n", job.id, job.state),
     };
     let hint = job.result.as_ref().map_or("", |result| result.hint.as_str());
-    let hint = match job.state {
-        JobState::Active => "`celld status` says what the cell does now",
-        JobState::Waiting => "`celld status` says what it waits for",
-        JobState::Ended(_) => hint,
+    let (hint, of_now) = match job.state {
+        JobState::Active => ("`celld status` says what the cell does now", true),
+        JobState::Waiting => ("`celld status` says what it waits for", true),
+        JobState::Ended(_) => (hint, is_last),
     };
     if !hint.is_empty() {
-        let _ = writeln!(text, "to do: {hint}");
+        let _ = writeln!(text, "{}: {hint}", if of_now { "to do" } else { "what was to be done" });
     }
     text.push('\n');
     text
 }
 
-fn step_words(step: &StepRecord) -> String {
-    format!("{} {}", step.intent.object, how_far(step))
-}
-
 /// How far the object of a step came.
 pub fn how_far(StepRecord { intent, phase, .. }: &StepRecord) -> String {
+    reached(intent, *phase)
+}
+
+fn reached(intent: &StepIntent, phase: StepPhase) -> String {
     let to = match intent.kind {
         StepKind::Goal => "its goal",
         StepKind::Buffer => "a temporary place",
@@ -134,8 +148,8 @@ pub fn how_far(StepRecord { intent, phase, .. }: &StepRecord) -> String {
     }
 }
 
-/// How far each object is from its goal; of a job without a result, what is wanted.
-fn objects(job: &JobRecord) -> String {
+/// How far each object was from its goal; of a job without a result, what is wanted.
+fn objects(job: &JobRecord, steps: &[StepRecord]) -> String {
     let mut text = String::new();
     let Some(result) = job.result.as_ref().filter(|result| !result.objects.is_empty()) else {
         for GoalPose { id, pose } in job.resolved.as_ref().unwrap_or(&job.spec.goal) {
@@ -147,11 +161,23 @@ fn objects(job: &JobRecord) -> String {
     for object in &result.objects {
         let state = match (object.error_mm, object.error_deg) {
             (Some(mm), Some(deg)) => format!("{mm:.1} mm and {deg:.1} degrees from its goal, as seen last"),
+            _ if hung_since_it_was_seen(&object.id, steps) => "not seen since it was gripped".to_string(),
             _ => "not seen".to_string(),
         };
         let _ = writeln!(text, "  {}: {state}", object.id);
     }
     text
+}
+
+/// Whether an object without a measured place has one that is known no more, since it was on the cups.
+pub fn hung_since_it_was_seen(object: &str, steps: &[StepRecord]) -> bool {
+    steps.iter().any(|step| {
+        let was_on_the_cups = match step.phase {
+            StepPhase::Gripped | StepPhase::Released | StepPhase::Done => true,
+            StepPhase::Intent | StepPhase::Abandoned => step.gripped_unix_s.is_some(),
+        };
+        step.intent.object == object && was_on_the_cups
+    })
 }
 
 #[cfg(test)]
@@ -184,7 +210,24 @@ mod tests {
             tool_from_object: None,
             table: Vec::new(),
         };
-        StepRecord { step: 1, intent, phase: StepPhase::Gripped, changed_unix_s: NOW + 20.0 }
+        StepRecord {
+            step: 1,
+            intent,
+            phase: StepPhase::Gripped,
+            changed_unix_s: NOW + 20.0,
+            gripped_unix_s: Some(NOW + 20.0),
+        }
+    }
+
+    /// The next one, let go by a person after the job had ended.
+    fn let_go(pose: Pose2) -> StepRecord {
+        StepRecord {
+            step: 2,
+            phase: StepPhase::Released,
+            changed_unix_s: NOW + 40.0,
+            gripped_unix_s: Some(NOW + 25.0),
+            ..gripped(pose)
+        }
     }
 
     #[test]
@@ -205,14 +248,8 @@ mod tests {
         let pose = Pose2::new(0.1, 0.2, 0.0);
         let goal = GoalPose { id: "mug".into(), pose };
         let job = JobRecord {
-            sequence: 1,
-            id: "tidy".into(),
-            name: "tidy.yaml".into(),
-            sha256: String::new(),
-            text: String::new(),
             spec: JobSpec { goal: vec![goal.clone()], ..JobSpec::default() },
             state: JobState::Ended(JobStatus::Failed),
-            approved: None,
             found: vec![goal.clone()],
             resolved: Some(vec![goal.clone()]),
             plan: Some(PlanRecord {
@@ -240,10 +277,13 @@ mod tests {
                 times: [("travel".to_string(), 12.0)].into(),
                 objects: vec![ObjectResult::new("mug", Some(pose), None)],
             }),
+            ..JobRecord::sample("tidy")
         };
-        let steps = [gripped(pose)];
-        insta::assert_snapshot!(story(&job, &steps), @r"
-        tidy: failed (vacuum_lost)
+        let steps = [gripped(pose), let_go(pose)];
+        let old = story(&job, &steps, false);
+        assert!(old.contains("\nwhat was to be done: see where it lies\n"), "{old}");
+        insta::assert_snapshot!(story(&job, &steps, true), @r"
+        tidy: failed (vacuum_lost), 2026-11-21T08:00:30Z
         mug was lost
         to do: see where it lies
 
@@ -252,9 +292,11 @@ mod tests {
                               found 1 objects on the table, 1 of them with a goal
         2026-11-21T08:00:09Z  planned: 0 pick-n-places, lower bound 1, about 8 s
         2026-11-21T08:00:20Z  1. mug was gripped, on its way to its goal
+        2026-11-21T08:00:25Z  2. mug was gripped, on its way to its goal
         2026-11-21T08:00:30Z  failed after 29.0 s (s: travel 12.0)
+        2026-11-21T08:00:40Z  2. mug was let go; it was meant for its goal
 
-          mug: not seen
+          mug: not seen since it was gripped
         ");
     }
 }

@@ -233,6 +233,9 @@ pub struct StepRecord {
     pub phase: StepPhase,
     /// When it got there, s since 1970.
     pub changed_unix_s: f64,
+    /// When the object hung on the cups, s since 1970; none where it never did, or where the journal was
+    /// written by a celld that kept the last change alone.
+    pub gripped_unix_s: Option<f64>,
 }
 
 /// The content of `result.yaml`.
@@ -342,6 +345,28 @@ impl JobRecord {
     /// The plan that a person approved; empty where none was.
     pub fn agreed(&self) -> Vec<PlanStep> {
         self.approved.as_deref().and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default()
+    }
+
+    /// A job that was done after a minute, for tests to change.
+    #[cfg(test)]
+    pub(crate) fn sample(id: &str) -> JobRecord {
+        JobRecord {
+            sequence: 1,
+            id: id.to_string(),
+            name: format!("{id}.yaml"),
+            sha256: String::new(),
+            text: String::new(),
+            spec: JobSpec::default(),
+            state: JobState::Ended(JobStatus::Done),
+            approved: None,
+            found: Vec::new(),
+            resolved: None,
+            plan: None,
+            claimed_unix_s: 0.0,
+            started_unix_s: None,
+            ended_unix_s: Some(60.0),
+            result: None,
+        }
     }
 
     /// When the job came, began and ended, as lines of `result.yaml`.

@@ -234,7 +234,7 @@ impl Status {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::jobs::record::{JobRecord, JobResult, JobSpec, JobState};
+    use crate::jobs::record::{JobRecord, JobResult};
     use cell_machine::code::JobStatus;
     use std::collections::BTreeSet;
 
@@ -270,23 +270,7 @@ mod tests {
             times: BTreeMap::new(),
             objects: Vec::new(),
         };
-        let job = JobRecord {
-            sequence: 1,
-            id: "a".into(),
-            name: "a.yaml".into(),
-            sha256: String::new(),
-            text: String::new(),
-            spec: JobSpec::default(),
-            state: JobState::Ended(JobStatus::Done),
-            approved: None,
-            found: Vec::new(),
-            resolved: None,
-            plan: None,
-            claimed_unix_s: 0.0,
-            started_unix_s: None,
-            ended_unix_s: Some(60.0),
-            result: None,
-        };
+        let job = JobRecord::sample("a");
         let text = result.to_yaml() + &job.times_yaml();
         assert!(text.ends_with("started: null\nended: \"1970-01-01T00:01:00Z\"\n"), "{text}");
         let keys = text.lines().filter_map(|line| line.split_once(':')).map(|(key, _)| key.to_string());

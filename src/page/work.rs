@@ -7,7 +7,7 @@ use crate::daemon::job_orders::{found_by, job_context, job_order};
 use crate::daemon::plan_files;
 use crate::daemon::recordings_folder::recordings_of;
 use crate::jobs::goal::{GoalEntry, find_goal_file, parse_goal_file, read_goal_file};
-use crate::jobs::history::{JobFilter, since, story};
+use crate::jobs::history::{JobFilter, hung_since_it_was_seen, since, story};
 use crate::jobs::job_file::read_job;
 use crate::jobs::journal::Journal;
 use crate::jobs::record::{GoalPose, JobRecord, JobSpec, StepRecord, quoted};
@@ -148,7 +148,10 @@ pub async fn job(State(app): State<App>, Path(id): Path<String>) -> Result<Respo
         let has = |name: &str| place.as_ref().is_some_and(|place| place.join(name).is_file());
         let files: Vec<_> = FILES.iter().map(|(name, _)| *name).filter(|name| has(name)).collect();
         let mut body = summary(&job);
-        body["story"] = story(&job, &steps).into();
+        let last = journal.begun_last().map_err(|error| Refused::fault(chain(&error)))?;
+        let is_last = last.as_deref() == Some(&job.id);
+        body["last"] = is_last.into();
+        body["story"] = story(&job, &steps, is_last).into();
         body["text"] = job.text.clone().into();
         body["approval"] = json!(job.spec.approval);
         body["plan"] = json!(job.plan);
@@ -164,6 +167,10 @@ pub async fn job(State(app): State<App>, Path(id): Path<String>) -> Result<Respo
             })
         };
         body["steps"] = steps.iter().map(step).collect();
+        let objects = job.result.iter().flat_map(|result| &result.objects);
+        let unseen = objects.filter(|object| object.measured.is_none());
+        body["unseen_since_gripped"] =
+            unseen.map(|object| object.id.as_str()).filter(|id| hung_since_it_was_seen(id, &steps)).collect();
         Ok(body)
     });
     Ok(Json(body.await??).into_response())

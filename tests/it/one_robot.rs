@@ -56,12 +56,14 @@ fn cell_second_daemon_on_one_robot_names_the_first_and_leaves_it_alone() {
     wait_until("the job of the first has ended", || done().or(failed()).is_some());
     assert_eq!(failed(), None, "the first works on:\n{}", watched(folder.path()));
 
-    for change in ["ARMED: the arm may move", "job one is taken up", "job one has ended"] {
+    let ended = "job one: done, every object is at its goal (1 moves, ";
+    for change in ["ARMED: the arm may move", "job one is taken up", "job one has ended", ended] {
         let seen = || watched(folder.path());
         assert!(eventually(|| seen().contains(change)), "{change:?} is not in\n{}", seen());
     }
     drop(first);
-    wait_until("who watches sees its end", || watched(folder.path()).contains("the daemon has ended"));
+    let killed = "the daemon has ended; its last status says: armed";
+    wait_until("who watches sees its end", || watched(folder.path()).contains(killed));
     // The cell of the second is complete once the registers are free: it takes orders then.
     wait_until("the second takes over once the first is gone", || {
         status().contains("robot at 127.7.6.9: ready")

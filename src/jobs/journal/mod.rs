@@ -17,7 +17,7 @@ use crate::jobs::history::JobFilter;
 use crate::jobs::journal::claim::free_id;
 use crate::jobs::journal::rows::{JobRow, encode, interrupted, job_columns, job_row, source_text, storable};
 use crate::jobs::record::{GoalPose, JobRecord, JobResult, JobState, PlanRecord, StepRecord, moves_made};
-use rusqlite::{Connection, ErrorCode, OpenFlags, Transaction, params};
+use rusqlite::{Connection, ErrorCode, OpenFlags, OptionalExtension, Transaction, params};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -25,14 +25,17 @@ pub use crate::jobs::journal::claim::{Claim, NewJob};
 
 /// Number in `PRAGMA user_version`. Older databases are brought up to it when the daemon opens them; one of
 /// a larger number is refused.
-const SCHEMA_VERSION: i64 = 2;
+const SCHEMA_VERSION: i64 = 3;
 
 /// What makes a database of version k + 1 out of one of version k, for k from 1.
-const MIGRATIONS: [&str; 1] = ["
+const MIGRATIONS: [&str; 2] = [
+    "
 ALTER TABLE jobs ADD COLUMN found TEXT;
 ALTER TABLE jobs ADD COLUMN resolved TEXT;
 ALTER TABLE jobs ADD COLUMN plan TEXT;
-"];
+",
+    "ALTER TABLE steps ADD COLUMN gripped REAL;",
+];
 
 const SCHEMA: &str = "
 CREATE TABLE jobs (
@@ -67,6 +70,7 @@ CREATE TABLE steps (
   intent  TEXT NOT NULL,
   phase   TEXT NOT NULL CHECK (phase IN ('intent','gripped','released','done','abandoned')),
   changed REAL NOT NULL,
+  gripped REAL,
   PRIMARY KEY (job, step)
 );
 CREATE UNIQUE INDEX one_open_step ON steps (job) WHERE phase IN ('intent','gripped','released');
@@ -403,6 +407,15 @@ impl Journal {
     /// As [`Journal::active`].
     pub fn latest(&self, limit: u32) -> Result<Vec<JobRecord>, JournalError> {
         self.select("ORDER BY sequence DESC LIMIT ?1", params![limit])
+    }
+
+    /// The job that was begun last; none before the first.
+    ///
+    /// # Errors
+    /// As [`Journal::active`].
+    pub fn begun_last(&self) -> Result<Option<String>, JournalError> {
+        let select = "SELECT id FROM jobs WHERE started IS NOT NULL ORDER BY started DESC LIMIT 1";
+        self.database.query_row(select, [], |row| row.get(0)).optional().map_err(|e| self.fail(e))
     }
 
     /// Jobs that a person looks for, newest first, at most `limit`.

@@ -80,7 +80,8 @@ impl Journal {
     }
 
     fn step_phase(&mut self, id: &str, step: u32, to: StepPhase, unix_s: f64) -> Result<(), JournalError> {
-        let update = "UPDATE steps SET phase = ?3, changed = ?4 WHERE step = ?2
+        let update = "UPDATE steps SET phase = ?3, changed = ?4,
+             gripped = CASE ?3 WHEN 'gripped' THEN ?4 ELSE gripped END WHERE step = ?2
              AND job = (SELECT sequence FROM jobs WHERE id = ?1) AND phase IN ('intent','gripped','released')";
         let changed =
             self.transact(|transaction| transaction.execute(update, params![id, step, to.as_str(), unix_s]))?;
@@ -112,10 +113,11 @@ impl Journal {
     /// # Errors
     /// As [`Journal::active`].
     pub fn steps(&self, id: &str) -> Result<Vec<StepRecord>, JournalError> {
-        let select =
-            "SELECT step, intent, phase, changed FROM steps WHERE job = (SELECT sequence FROM jobs WHERE id = ?1)
-                      ORDER BY step";
-        let mut statement = self.database.prepare(select).map_err(|e| self.fail(e))?;
+        let select = format!(
+            "SELECT {} FROM steps WHERE job = (SELECT sequence FROM jobs WHERE id = ?1) ORDER BY step",
+            step_columns(self.version)
+        );
+        let mut statement = self.database.prepare(&select).map_err(|e| self.fail(e))?;
         let rows = statement
             .query_map([id], step_row)
             .and_then(Iterator::collect::<Result<Vec<_>, _>>)
@@ -129,8 +131,9 @@ impl Journal {
     /// # Errors
     /// SQLite fails ([`JournalError::Database`]), or the row is damaged ([`JournalError::Damaged`]).
     pub fn last_step(&self) -> Result<Option<StepRecord>, JournalError> {
-        let select = "SELECT step, intent, phase, changed FROM steps ORDER BY rowid DESC LIMIT 1";
-        let row = self.database.query_row(select, [], step_row);
+        let columns = step_columns(self.version);
+        let select = format!("SELECT {columns} FROM steps ORDER BY rowid DESC LIMIT 1");
+        let row = self.database.query_row(&select, [], step_row);
         match row.optional().map_err(|e| self.fail(e))? {
             Some(row) => self.step_record(row).map(Some),
             None => Ok(None),
@@ -138,9 +141,10 @@ impl Journal {
     }
 
     fn step_record(&self, row: StepRow) -> Result<StepRecord, JournalError> {
-        let StepRow { step, intent, phase, changed_unix_s } = row;
+        let StepRow { step, intent, phase, changed_unix_s, gripped_unix_s } = row;
         let phase = phase.parse::<StepPhase>().map_err(|_| self.damaged("steps.phase", &phase))?;
-        Ok(StepRecord { step, intent: self.decode("steps.intent", &intent)?, phase, changed_unix_s })
+        let intent = self.decode("steps.intent", &intent)?;
+        Ok(StepRecord { step, intent, phase, changed_unix_s, gripped_unix_s })
     }
 }
 
@@ -150,8 +154,23 @@ struct StepRow {
     intent: String,
     phase: String,
     changed_unix_s: f64,
+    gripped_unix_s: Option<f64>,
+}
+
+/// Columns in the order of [`StepRow`]; databases before version 3 lack the last.
+fn step_columns(version: i64) -> &'static str {
+    match version {
+        ..3 => "step, intent, phase, changed, NULL",
+        3.. => "step, intent, phase, changed, gripped",
+    }
 }
 
 fn step_row(row: &Row) -> Result<StepRow, rusqlite::Error> {
-    Ok(StepRow { step: row.get(0)?, intent: row.get(1)?, phase: row.get(2)?, changed_unix_s: row.get(3)? })
+    Ok(StepRow {
+        step: row.get(0)?,
+        intent: row.get(1)?,
+        phase: row.get(2)?,
+        changed_unix_s: row.get(3)?,
+        gripped_unix_s: row.get(4)?,
+    })
 }
