@@ -274,7 +274,9 @@ async fn daemon(begin: Begin, anew: Anew, stop: Arc<AtomicBool>) -> Result<(), S
         tracing::warn!("taught pose {pose}; the arm will not go there");
     }
     let setup = perception_setup(&config, &measured, &arm, diagnostic_images)?;
-    shell.see_with(PerceptionSetup { film: film.clone(), ..setup });
+    // Who watches would use up a recording.
+    let watched = film.clone().filter(|_| !config.devices.camera.is_recording());
+    shell.see_with(PerceptionSetup { film: watched, ..setup });
     let (pictures, lens) = (LastPicture::new(Some(measured.camera.clone())), measured.camera.clone());
     feed.known(known_cell(&model, &calibration, &arm, &pictures));
     shell.commission(model, config.arm_at_start);

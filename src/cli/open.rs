@@ -1,9 +1,9 @@
 //! `celld open`: signs this computer's browser in at the cell's page, or prints a link or a token.
 //!
 //! In: the state folder of a running daemon, which knows who gives the command by the owner of its file.
-//! Out: a browser that is signed in; with `--print` a link that counts once, for two minutes; with
-//! `--token` a secret for a program; with `--revoke` what was given to a name is void. A daemon that is
-//! still starting is waited for. Exit code 1 where there is no daemon or no page.
+//! Out: a browser that is signed in (its link counts for no other user); with `--print` a link that counts
+//! once, for two minutes; with `--token` a secret for a program; with `--revoke` what was given to a name is
+//! void. A daemon that is still starting is waited for. Exit code 1 where there is no daemon or no page.
 
 use crate::cli::client::{ClientError, StateArg, request_at_start};
 use crate::cli::task::outln;
@@ -53,7 +53,9 @@ pub(super) fn open(args: &OpenArgs) -> Result<u8, ClientError> {
         return Ok(u8::from(!reply.accepted));
     }
     let token_days = args.token.then_some(args.days);
-    let wanted = SignIn { role: args.role, name: args.name.clone(), token_days };
+    // All users of this computer can read the arguments with which the browser is started.
+    let own_browser = !args.token && !args.print && has_a_desktop();
+    let wanted = SignIn { role: args.role, name: args.name.clone(), token_days, own_browser };
     let reply = request_at_start(&args.state.folder(), &Command::SignIn(wanted))?;
     if !reply.accepted {
         cell_edge::terminal::complain(&reply.message);
@@ -63,21 +65,23 @@ pub(super) fn open(args: &OpenArgs) -> Result<u8, ClientError> {
         outln!("{}", reply.message);
         return Ok(0);
     }
-    if opened(&reply.message) {
+    if own_browser && opened(&reply.message) {
         let address = reply.message.split("/#").next().unwrap_or_default();
         outln!("the page is open in the browser: {address}");
         return Ok(0);
     }
     outln!("{}", reply.message);
-    eprintln!("no browser could be started; open this link in one within two minutes, it counts once");
+    let whose = if own_browser { " of yours on this computer" } else { "" };
+    eprintln!("no browser could be started; open this link in one{whose} within two minutes, it counts once");
     Ok(0)
+}
+
+fn has_a_desktop() -> bool {
+    std::env::var_os("DISPLAY").is_some() || std::env::var_os("WAYLAND_DISPLAY").is_some()
 }
 
 /// Hands the link to the desktop's browser.
 fn opened(link: &str) -> bool {
-    if std::env::var_os("DISPLAY").is_none() && std::env::var_os("WAYLAND_DISPLAY").is_none() {
-        return false;
-    }
     let mut browser = std::process::Command::new("xdg-open");
     browser.arg(link).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
     browser.status().is_ok_and(|status| status.success())

@@ -5,7 +5,8 @@
 //! move, beside an arm that carries what is drawn there. Nothing is planned on it: plans come from what is
 //! measured.
 
-use cell_machine::supervisor::model::CellModel;
+use cell_motion::path::ArmModel;
+use cell_motion::put_down::Grasp;
 use cell_values::units::Joints;
 use cell_vision::observe::Observation;
 use rearrange::geometry::pose::Pose2;
@@ -32,8 +33,8 @@ const PLACED_WITHIN_M: f64 = 0.01;
 /// See the module.
 #[derive(Default)]
 pub struct Carried {
-    /// What hangs on the gripper, and its pose in the tool's frame seen from above.
-    held: Option<(String, Pose2)>,
+    /// What hangs on the gripper, and how.
+    held: Option<(String, Grasp)>,
     objects: Vec<CarriedView>,
 }
 
@@ -50,35 +51,28 @@ impl Carried {
 
     /// What the machine knows of the gripper; true if that is something else than before. Where it is not
     /// known how an object hangs, it stays where it was seen.
-    pub fn hangs(&mut self, object: Option<(&str, Option<Pose2>)>) -> bool {
-        let known = object.and_then(|(id, pose)| Some((id, pose?)));
-        if known == self.held.as_ref().map(|(id, pose)| (id.as_str(), *pose)) {
+    pub fn hangs(&mut self, object: Option<(&str, Option<&Grasp>)>) -> bool {
+        let known = object.and_then(|(id, grasp)| Some((id, grasp?)));
+        if known == self.held.as_ref().map(|(id, grasp)| (id.as_str(), grasp)) {
             return false;
         }
-        self.held = known.map(|(id, pose)| (id.to_string(), pose));
+        self.held = known.map(|(id, grasp)| (id.to_string(), grasp.clone()));
         for object in &mut self.objects {
             object.held = self.held.as_ref().is_some_and(|(id, _)| *id == object.id);
-        }
-        for object in self.objects.iter_mut().filter(|object| !object.held) {
-            object.lost |= object.bottom_m > PLACED_WITHIN_M;
-            object.bottom_m = 0.0;
+            if !object.held {
+                object.lost |= object.bottom_m > PLACED_WITHIN_M;
+                object.bottom_m = 0.0;
+            }
         }
         true
     }
 
-    /// The arm's joints, rad.
-    pub fn arm(&mut self, model: &CellModel, q: &Joints) {
-        let Some((id, tool_from_object)) = &self.held else { return };
-        let tool = model.arm.tool_at(q);
-        let (at, along) = (tool.translation.vector, tool.rotation * nalgebra::Vector3::x());
-        let height = model.objects.iter().find(|object| object.id == *id).map_or(0.0, |object| object.height);
-        let view = CarriedView {
-            id: id.clone(),
-            pose: Pose2::new(at.x, at.y, along.y.atan2(along.x)).compose(tool_from_object),
-            bottom_m: (at.z - height).max(0.0),
-            held: true,
-            lost: false,
-        };
+    /// The arm's joints, rad. Where its tool does not point straight down, the object stays where it was.
+    pub fn arm(&mut self, arm: &ArmModel, q: &Joints) {
+        let Some((id, grasp)) = &self.held else { return };
+        let Some(pose) = grasp.object_at(arm, q) else { return };
+        let bottom_m = (arm.tool_at(q).translation.vector.z - grasp.load().height).max(0.0);
+        let view = CarriedView { id: id.clone(), pose, bottom_m, held: true, lost: false };
         match self.objects.iter_mut().find(|object| object.id == *id) {
             Some(object) => *object = view,
             None => self.objects.push(view),
@@ -97,15 +91,18 @@ impl Carried {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
+    use cell_motion::bodies::Load;
     use cell_values::time::Timestamp;
     use cell_vision::observe::ObjectEstimate;
+    use rearrange::geometry::footprint::Footprint;
 
-    fn sight(ids: &[&str]) -> Observation {
-        let estimate = |id: &&str| ObjectEstimate {
+    /// An object that lies flat, seen in one picture.
+    pub(crate) fn estimate(id: &str, x: f64) -> ObjectEstimate {
+        ObjectEstimate {
             id: id.to_string(),
-            pose: Pose2::new(0.1, 0.1, 0.0),
+            pose: Pose2::new(x, 0.1, 0.0),
             std_xy_m: 1e-4,
             std_theta_rad: 1e-3,
             views: 1,
@@ -115,15 +112,21 @@ mod tests {
             height_error_m: 0.0,
             height_std_m: 1e-3,
             time: Timestamp::ZERO,
-        };
-        Observation { objects: ids.iter().map(estimate).collect(), ..Observation::default() }
+        }
+    }
+
+    fn sight(ids: &[&str]) -> Observation {
+        let objects = ids.iter().map(|id| estimate(id, 0.1)).collect();
+        Observation { objects, ..Observation::default() }
     }
 
     #[test]
     fn what_was_let_go_is_there_until_it_is_seen() {
-        let hangs = Pose2::new(0.01, 0.0, 0.2);
+        let (hangs, footprint) = (Pose2::new(0.01, 0.0, 0.2), Footprint::disc(0.04).unwrap());
+        let load = Load { name: "lid".into(), footprint, tool_from_object: hangs, height: 0.02 };
+        let grasp = Grasp::remembered(load, 1.0);
         let mut carried = Carried::default();
-        assert!(carried.hangs(Some(("lid", Some(hangs)))) && !carried.hangs(Some(("lid", Some(hangs)))));
+        assert!(carried.hangs(Some(("lid", Some(&grasp)))) && !carried.hangs(Some(("lid", Some(&grasp)))));
         let at = |held| CarriedView { id: "lid".into(), pose: hangs, bottom_m: 0.0, held, lost: false };
         carried.objects.push(at(true));
         carried.seen(&sight(&["lid"]), false);
@@ -144,7 +147,7 @@ mod tests {
         carried.objects.push(at(false));
         carried.seen(&sight(&["mug"]), false);
         assert!(carried.objects().is_empty(), "nor is it anywhere on the table");
-        assert!(carried.hangs(Some(("lid", Some(hangs)))));
+        assert!(carried.hangs(Some(("lid", Some(&grasp)))));
         carried.objects.push(CarriedView { bottom_m: 0.2, ..at(true) });
         assert!(carried.hangs(None));
         let lost = CarriedView { lost: true, ..at(false) };

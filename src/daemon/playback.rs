@@ -19,6 +19,7 @@ use cell_machine::supervisor::model::CellModel;
 use cell_machine::supervisor::order::RouteAction;
 use cell_machine::supervisor::status::{Status, StopNote};
 use cell_motion::bodies::Bodies;
+use cell_motion::put_down::Grasp;
 use cell_replay::{Kind, Replay, effect_of, event_of};
 use cell_values::time::{Duration, Timestamp};
 use cell_values::units::{Joints, mm_from_m};
@@ -233,7 +234,7 @@ impl Playback {
         let tool = model.arm.tool_at(q);
         joints.push(millimetres(&Point3::from(tool.translation.vector)));
         self.run.arm.push((at, joints));
-        self.carried.arm(model, q);
+        self.carried.arm(&model.arm, q);
         if let Some(CarriedView { id, pose, .. }) = self.carried.held()
             && let Some(object) = self.run.objects.iter_mut().find(|object| object.id == *id)
         {
@@ -300,7 +301,7 @@ fn page_within(title: String, files: &[PathBuf], most: u64) -> Result<String, St
 }
 
 /// The object on the gripper, and how it hangs there, if that is known.
-fn held_by(machine: Option<&Machine>) -> Option<(&str, Option<Pose2>)> {
+fn held_by(machine: Option<&Machine>) -> Option<(&str, Option<&Grasp>)> {
     machine.and_then(|machine| machine.supervisor()?.object_on_the_gripper())
 }
 

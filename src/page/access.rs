@@ -51,10 +51,29 @@ pub struct Person {
     pub session: String,
 }
 
+/// What signs one browser in, once.
+#[derive(Clone, Debug)]
+struct Ticket {
+    kept: Kept,
+    /// The user whose browser alone it is for.
+    user: Option<u32>,
+}
+
+/// What comes of a ticket.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Redeemed {
+    /// The secret of the session.
+    Session(String),
+    /// It was used, is too old, or never was.
+    Void,
+    /// It counts for a browser of another user, and still does.
+    OfAnotherUser,
+}
+
 /// All tickets and grants.
 #[derive(Clone, Debug, Default)]
 pub struct Access {
-    tickets: Vec<Kept>,
+    tickets: Vec<Ticket>,
     grants: Vec<Kept>,
 }
 
@@ -82,28 +101,44 @@ impl Access {
         serde_json::to_string_pretty(&file).expect("grants have string keys only")
     }
 
-    /// A ticket for one browser; `grant.until_unix_s` is that of the session it leads to.
+    /// A ticket for one browser, of this user alone where one is named; `grant.until_unix_s` is that of the
+    /// session it leads to.
     ///
     /// # Errors
     /// The system gives no random numbers.
-    pub fn ticket(&mut self, grant: Grant, now_unix_s: f64) -> Result<String, getrandom::Error> {
+    pub fn ticket(
+        &mut self,
+        grant: Grant,
+        user: Option<u32>,
+        now_unix_s: f64,
+    ) -> Result<String, getrandom::Error> {
         self.forget(now_unix_s);
         let secret = secret()?;
         // Until when the ticket counts is in the grant; what it leads to lasts as long as a session.
         let ticket = Grant { until_unix_s: now_unix_s + TICKET_S, ..grant };
-        keep(&mut self.tickets, &secret, ticket);
+        push(&mut self.tickets, Ticket { kept: Kept { sha256: fingerprint(&secret), grant: ticket }, user });
         Ok(secret)
     }
 
-    /// The secret of a session for a ticket, once.
+    /// A session for a ticket, once; `user`: whose browser brings it, where that is known.
     ///
     /// # Errors
     /// The system gives no random numbers.
-    pub fn redeem(&mut self, ticket: &str, now_unix_s: f64) -> Result<Option<String>, getrandom::Error> {
+    pub fn redeem(
+        &mut self,
+        ticket: &str,
+        user: Option<u32>,
+        now_unix_s: f64,
+    ) -> Result<Redeemed, getrandom::Error> {
         self.forget(now_unix_s);
-        let Some(index) = find(&self.tickets, ticket) else { return Ok(None) };
-        let Grant { name, role, .. } = self.tickets.remove(index).grant;
-        self.grant(Grant { name, role, until_unix_s: now_unix_s + SESSION_S }).map(Some)
+        let Some(index) = find(self.tickets.iter().map(|ticket| &ticket.kept), ticket) else {
+            return Ok(Redeemed::Void);
+        };
+        if self.tickets[index].user.is_some_and(|own| user != Some(own)) {
+            return Ok(Redeemed::OfAnotherUser);
+        }
+        let Grant { name, role, .. } = self.tickets.remove(index).kept.grant;
+        self.grant(Grant { name, role, until_unix_s: now_unix_s + SESSION_S }).map(Redeemed::Session)
     }
 
     /// A secret that counts until the grant ends.
@@ -112,7 +147,7 @@ impl Access {
     /// The system gives no random numbers.
     pub fn grant(&mut self, grant: Grant) -> Result<String, getrandom::Error> {
         let secret = secret()?;
-        keep(&mut self.grants, &secret, grant);
+        push(&mut self.grants, Kept { sha256: fingerprint(&secret), grant });
         Ok(secret)
     }
 
@@ -134,30 +169,30 @@ impl Access {
     pub fn end_all_of(&mut self, name: &str) -> usize {
         let before = self.tickets.len() + self.grants.len();
         let others = |kept: &Kept| kept.grant.name != name;
-        self.tickets.retain(others);
+        self.tickets.retain(|ticket| others(&ticket.kept));
         self.grants.retain(others);
         before - self.tickets.len() - self.grants.len()
     }
 
     fn forget(&mut self, now_unix_s: f64) {
         let counts = |kept: &Kept| kept.grant.until_unix_s > now_unix_s;
-        self.tickets.retain(counts);
+        self.tickets.retain(|ticket| counts(&ticket.kept));
         self.grants.retain(counts);
     }
 }
 
-fn keep(list: &mut Vec<Kept>, secret: &str, grant: Grant) {
+fn push<T>(list: &mut Vec<T>, item: T) {
     if list.len() >= MOST {
         list.remove(0);
     }
-    list.push(Kept { sha256: fingerprint(secret), grant });
+    list.push(item);
 }
 
 /// All are compared, whether one was found or not.
-fn find(list: &[Kept], secret: &str) -> Option<usize> {
+fn find<'a>(list: impl IntoIterator<Item = &'a Kept>, secret: &str) -> Option<usize> {
     let wanted = fingerprint(secret);
     let mut found = None;
-    for (index, kept) in list.iter().enumerate() {
+    for (index, kept) in list.into_iter().enumerate() {
         if bool::from(kept.sha256.as_bytes().ct_eq(wanted.as_bytes())) {
             found = Some(index);
         }
@@ -199,23 +234,38 @@ mod tests {
     #[test]
     fn a_ticket_signs_in_once_and_not_for_ever() {
         let mut access = Access::default();
-        let ticket = access.ticket(anna(0.0), NOW).unwrap();
+        let ticket = access.ticket(anna(0.0), None, NOW).unwrap();
         assert_eq!(access.person(&ticket, NOW), None, "a ticket is no session");
-        let session = access.redeem(&ticket, NOW + 1.0).unwrap().expect("in time");
-        assert_eq!(access.redeem(&ticket, NOW + 2.0).unwrap(), None, "once");
+        let redeemed = access.redeem(&ticket, None, NOW + 1.0).unwrap();
+        let Redeemed::Session(session) = redeemed else { panic!("in time: {redeemed:?}") };
+        assert_eq!(access.redeem(&ticket, None, NOW + 2.0).unwrap(), Redeemed::Void, "once");
         let person = access.person(&session, NOW + 2.0).expect("signed in");
         assert_eq!((person.grant.name.as_str(), person.grant.role), ("anna", Role::Operate));
         assert_eq!(access.person(&session, NOW + 2.0 + SESSION_S), None, "a shift is over");
-        let late = access.ticket(anna(0.0), NOW).unwrap();
-        assert_eq!(access.redeem(&late, NOW + TICKET_S + 1.0).unwrap(), None, "too late");
+        let late = access.ticket(anna(0.0), None, NOW).unwrap();
+        assert_eq!(access.redeem(&late, None, NOW + TICKET_S + 1.0).unwrap(), Redeemed::Void, "too late");
         access.end(&session);
         assert_eq!(access.person(&session, NOW + 2.0), None, "signed out");
-        let (token, link) = (access.grant(anna(NOW + 1e6)).unwrap(), access.ticket(anna(0.0), NOW).unwrap());
+        let (token, link) =
+            (access.grant(anna(NOW + 1e6)).unwrap(), access.ticket(anna(0.0), None, NOW).unwrap());
         let other = access.grant(Grant { name: "ben".into(), ..anna(NOW + 1e6) }).unwrap();
         assert_eq!(access.end_all_of("anna"), 2, "the link that was too late is gone already");
         assert_eq!(access.person(&token, NOW), None, "taken back");
-        assert_eq!(access.redeem(&link, NOW).unwrap(), None, "and so is a link that was not used");
+        assert_eq!(access.redeem(&link, None, NOW).unwrap(), Redeemed::Void, "and a link that was not used");
         assert!(access.person(&other, NOW).is_some() && access.end_all_of("anna") == 0);
+    }
+
+    #[test]
+    fn what_is_for_the_browser_of_one_user_does_not_count_for_that_of_another() {
+        let mut access = Access::default();
+        let link = access.ticket(anna(0.0), Some(1000), NOW).unwrap();
+        for other in [Some(1001), Some(0), None] {
+            assert_eq!(access.redeem(&link, other, NOW).unwrap(), Redeemed::OfAnotherUser, "{other:?}");
+        }
+        assert!(
+            matches!(access.redeem(&link, Some(1000), NOW).unwrap(), Redeemed::Session(_)),
+            "still counts"
+        );
     }
 
     #[test]

@@ -48,7 +48,8 @@ impl SignInHandler for SignsIn {
             |seconds: f64| Grant { name: name.clone(), role: wanted.role, until_unix_s: now + seconds };
         let made = match wanted.token_days {
             None => {
-                let ticket = self.0.access().ticket(grant(SESSION_S), now);
+                let user = uid.filter(|_| wanted.own_browser);
+                let ticket = self.0.access().ticket(grant(SESSION_S), user, now);
                 ticket.map(|ticket| format!("{}/#ticket={ticket}", self.0.config.address()))
             }
             Some(days @ 1..=TOKEN_DAYS_MAX) => {

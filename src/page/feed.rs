@@ -363,7 +363,7 @@ impl Watcher {
         self.arm_at = Some(now);
         let cell = self.feed.cell();
         if let Some(cell) = &cell {
-            self.carried.arm(&cell.model, &state.q);
+            self.carried.arm(&cell.model.arm, &state.q);
         }
         let bodies = cell.as_ref().map(|cell| &cell.model.arm.bodies);
         let view = ArmView { carried: self.carried.held().cloned(), ..arm_view(state, bodies) };
@@ -452,6 +452,7 @@ impl Observer for Watcher {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::daemon::carried::tests::estimate;
     use cell_machine::supervisor::input::Notice;
 
     #[test]
@@ -492,22 +493,6 @@ mod tests {
         assert!(!late.is_of_now(), "the loop turns, and the journal's thread hangs");
         late.status(&idle);
         assert!(late.is_of_now());
-    }
-
-    fn estimate(id: &str, x: f64) -> cell_vision::observe::ObjectEstimate {
-        cell_vision::observe::ObjectEstimate {
-            id: id.to_string(),
-            pose: rearrange::geometry::pose::Pose2::new(x, 0.1, 0.0),
-            std_xy_m: 1e-4,
-            std_theta_rad: 1e-3,
-            views: 1,
-            rejected_views: 0,
-            tilt_rad: 0.0,
-            tilt_std_rad: 0.01,
-            height_error_m: 0.0,
-            height_std_m: 1e-3,
-            time: Timestamp::ZERO,
-        }
     }
 
     #[test]

@@ -3,7 +3,7 @@
 //! In: pictures of the camera's thread, and those of a calibration round. Out: JPEG parts of one endless
 //! answer to each viewer (`multipart/x-mixed-replace`, which every browser shows as a picture). A viewer
 //! that is slow gets the newest picture next; one that does not read at all is dropped with its
-//! connection. Without viewers no picture is taken.
+//! connection. Without viewers no picture is taken; a recording as the camera has no film.
 
 use crate::daemon::film::{Shown, Watching};
 use crate::page::calibration::found::Finder;
@@ -84,6 +84,9 @@ impl Viewer {
 
 /// `GET /api/v1/film`
 pub async fn film(State(app): State<App>, headers: HeaderMap) -> Response {
+    if app.cell.devices.camera.is_recording() {
+        return refusal(StatusCode::NOT_FOUND, "the camera is a recording: it has no film");
+    }
     if app.film.viewers() >= VIEWERS {
         return refusal(StatusCode::SERVICE_UNAVAILABLE, "too many watch the film");
     }

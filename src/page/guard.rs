@@ -51,6 +51,15 @@ pub enum Via {
 #[derive(Clone, Copy, Debug)]
 pub struct Peer(pub IpAddr);
 
+/// Both ends of the connection that a request comes over, as the kernel has them.
+#[derive(Clone, Copy, Debug)]
+pub struct Ends {
+    /// The browser's.
+    pub far: SocketAddr,
+    /// Ours.
+    pub near: SocketAddr,
+}
+
 /// Why a request is not carried out, as the page answers it.
 #[derive(Debug)]
 pub struct Refused {

@@ -7,6 +7,7 @@ use crate::daemon::playback::page_of;
 use crate::page::guard::Refused;
 use crate::page::shared::App;
 use crate::page::work::{beside, folder, known, recordings};
+use crate::report::DARK_COMPUTER;
 use crate::report::html::html;
 use axum::extract::{Path, Query, State};
 use axum::http::StatusCode;
@@ -30,13 +31,12 @@ enum Theme {
 impl Light {
     /// The page, its styles for dark computers taken always or never.
     fn of(&self, page: &str) -> String {
-        let dark = ["@media(prefers-color-scheme:dark)", "@media (prefers-color-scheme: dark)"];
         let media = match self.theme {
             Some(Theme::Dark) => "@media all",
             Some(Theme::Light) => "@media not all",
             None => return page.to_string(),
         };
-        dark.iter().fold(page.to_string(), |page, query| page.replace(query, media))
+        page.replace(DARK_COMPUTER, media)
     }
 }
 
@@ -95,17 +95,21 @@ pub async fn playback(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::html::html;
+    use crate::report::replay_page::{RecordedRun, replay_page};
     use crate::report::run::RunReport;
 
     #[test]
-    fn a_report_is_dark_or_light_as_the_page_is() {
-        let page = html(&RunReport::default());
-        assert!(page.contains("prefers-color-scheme"));
-        let light = |theme| Light { theme }.of(&page);
-        assert_eq!(light(None), page);
-        let (dark, bright) = (light(Some(Theme::Dark)), light(Some(Theme::Light)));
-        assert!(dark.contains("@media all{:root{--ground:#17181b") && !dark.contains("prefers-color-scheme"));
-        assert!(bright.contains("@media not all{") && !bright.contains("prefers-color-scheme"));
+    fn report_and_played_back_run_are_dark_or_light_as_the_page_is() {
+        for page in [html(&RunReport::default()), replay_page(&RecordedRun::default()).unwrap()] {
+            assert!(page.contains("prefers-color-scheme"));
+            let light = |theme| Light { theme }.of(&page);
+            assert_eq!(light(None), page);
+            let (dark, bright) = (light(Some(Theme::Dark)), light(Some(Theme::Light)));
+            assert!(dark.contains("@media all") && !dark.contains("prefers-color-scheme"), "{dark}");
+            assert!(
+                bright.contains("@media not all") && !bright.contains("prefers-color-scheme"),
+                "{bright}"
+            );
+        }
     }
 }

@@ -4,8 +4,9 @@
 //! lower priority: whatever a viewer does, the loop that keeps the robot's heartbeat does not notice.
 
 use crate::config::page::{PageConfig, TlsFiles};
-use axum::Router;
+use crate::page::guard::Ends;
 use axum::extract::ConnectInfo;
+use axum::{Extension, Router};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use std::collections::HashMap;
@@ -137,9 +138,12 @@ impl Listening {
             };
             bound(&stream);
             // Under whatever address of its own, this computer is this computer.
-            let here = stream.local_addr().is_ok_and(|local| local.ip() == peer.ip());
+            let near = stream.local_addr().ok();
+            let ends = near.map(|near| Ends { far: peer, near });
+            let here = near.is_some_and(|near| near.ip() == peer.ip());
             let peer = if here { SocketAddr::new(Ipv4Addr::LOCALHOST.into(), peer.port()) } else { peer };
-            let (router, tls) = (router.clone(), self.tls.clone());
+            let router = ends.map_or_else(|| router.clone(), |ends| router.clone().layer(Extension(ends)));
+            let tls = self.tls.clone();
             tokio::spawn(async move {
                 let _places = (place, of_one);
                 match tls {
@@ -172,7 +176,7 @@ async fn connection<S>(stream: S, peer: SocketAddr, router: Router)
 where
     S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
 {
-    let router = router.layer(axum::Extension(ConnectInfo(peer)));
+    let router = router.layer(Extension(ConnectInfo(peer)));
     let served = hyper::server::conn::http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(HEAD_WITHIN)

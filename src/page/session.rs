@@ -5,8 +5,8 @@
 //! page that is of now; what stops takes a session alone.
 
 use crate::jobs::command::Command;
-use crate::page::access::{Person, SESSION_S};
-use crate::page::guard::{Peer, Refused, Via, refusal, secret};
+use crate::page::access::{Person, Redeemed, SESSION_S};
+use crate::page::guard::{Ends, Peer, Refused, Via, refusal, secret};
 use crate::page::shared::{App, Shared};
 use axum::body::Bytes;
 use axum::extract::rejection::{BytesRejection, JsonRejection};
@@ -15,6 +15,7 @@ use axum::http::header::SET_COOKIE;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use cell_edge::clock::unix_now_s;
+use cell_edge::peer::user_of;
 use cell_machine::orders::{Order, Reply};
 use serde::Deserialize;
 use serde_json::json;
@@ -46,23 +47,31 @@ pub fn unreadable(error: &JsonRejection) -> Refused {
 pub async fn sign_in(
     State(app): State<App>,
     Extension(Peer(peer)): Extension<Peer>,
+    ends: Option<Extension<Ends>>,
     body: Result<Json<Ticket>, JsonRejection>,
 ) -> Response {
     let Json(Ticket { ticket }) = match body {
         Ok(body) => body,
         Err(error) => return unreadable(&error).into_response(),
     };
-    let session = app.access().redeem(&ticket, unix_now_s());
-    match session {
-        Ok(Some(session)) => {
+    let user = ends.and_then(|Extension(Ends { far, near })| user_of(far, near));
+    let redeemed = app.access().redeem(&ticket, user, unix_now_s());
+    match redeemed {
+        Ok(Redeemed::Session(session)) => {
             keep_access(&app);
             tracing::info!(%peer, "page: signed in");
             (cookie(&app, &session, SESSION_S), Json(json!({ "signed_in": true }))).into_response()
         }
-        Ok(None) => {
+        Ok(refused @ (Redeemed::Void | Redeemed::OfAnotherUser)) => {
             app.limits().refused(&peer.to_string(), Instant::now());
-            tracing::warn!(%peer, "page refused: a ticket that does not count");
-            let message = "this link was used already or is too old; `celld open` gives another one";
+            tracing::warn!(%peer, ?user, ?refused, "page refused: a ticket that does not count");
+            let message = match refused {
+                Redeemed::OfAnotherUser => {
+                    "this link is for the browser of who ran `celld open`; `celld open --print` gives one for \
+                     another browser"
+                }
+                _ => "this link was used already or is too old; `celld open` gives another one",
+            };
             refusal(StatusCode::UNAUTHORIZED, message)
         }
         Err(error) => refusal(StatusCode::INTERNAL_SERVER_ERROR, format!("no random numbers: {error}")),

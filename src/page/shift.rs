@@ -64,7 +64,6 @@ fn counts(jobs: &[JobRecord], begun: f64, now: f64) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::jobs::record::JobSpec;
 
     fn job(claimed_unix_s: f64, seconds: f64, waited: f64, moves: u32) -> JobRecord {
         let result = JobResult {
@@ -79,23 +78,7 @@ mod tests {
             times: [(Use::Waiting.as_str().to_string(), waited)].into(),
             objects: Vec::new(),
         };
-        JobRecord {
-            sequence: 1,
-            id: "tidy".into(),
-            name: "tidy.yaml".into(),
-            sha256: String::new(),
-            text: String::new(),
-            spec: JobSpec::default(),
-            state: JobState::Ended(JobStatus::Done),
-            approved: None,
-            found: Vec::new(),
-            resolved: None,
-            plan: None,
-            claimed_unix_s,
-            started_unix_s: Some(claimed_unix_s),
-            ended_unix_s: Some(claimed_unix_s + seconds),
-            result: Some(result),
-        }
+        JobRecord { claimed_unix_s, result: Some(result), ..JobRecord::sample("tidy") }
     }
 
     #[test]

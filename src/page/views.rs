@@ -49,6 +49,8 @@ pub struct CellView {
     pub approval: &'static str,
     /// The devices are simulated.
     pub simulated: bool,
+    /// The camera goes on giving pictures; that of a recording is used up by who watches.
+    pub film: bool,
     /// What the arm and its surroundings are made of; empty before the robot is known.
     pub bodies: Vec<BodyView>,
 }
@@ -171,6 +173,8 @@ pub struct SeenView {
 pub struct PictureView {
     /// Which picture.
     pub number: u64,
+    /// When it came, s since 1970.
+    pub unix_s: f64,
     /// Its size.
     pub width: u32,
     /// Its size.
@@ -223,6 +227,7 @@ pub fn cell_view(config: &CellConfig, name: &str, bodies: Option<&Bodies>) -> Ce
             .collect(),
         approval: config.approval.as_str(),
         simulated: config.simulation.is_some(),
+        film: !config.devices.camera.is_recording(),
         bodies: bodies.map(body_views).unwrap_or_default(),
     }
 }
@@ -360,9 +365,9 @@ pub fn picture_view(
     seen: Option<&Observation>,
     plan: Option<&PlanRecord>,
 ) -> PictureView {
-    let (width, height) = (picture.image.width, picture.image.height);
+    let (width, height, unix_s) = (picture.image.width, picture.image.height, picture.unix_s);
     let Some(table_from_camera) = picture.table_from_camera else {
-        return PictureView { number, width, height, ..PictureView::default() };
+        return PictureView { number, unix_s, width, height, ..PictureView::default() };
     };
     let projection = Projection { lens, camera_from_table: table_from_camera.inverse() };
     let spec = |id: &str| config.objects.iter().find(|object| object.id == id);
@@ -378,6 +383,7 @@ pub fn picture_view(
     let foreign = seen.and_then(|seen| seen.foreign.as_ref()).map(|report| report.objects.as_slice());
     PictureView {
         number,
+        unix_s,
         width,
         height,
         objects: seen.iter().flat_map(|seen| &seen.objects).filter_map(|o| marked(&o.id, &o.pose)).collect(),

@@ -1,5 +1,9 @@
 //! Pictures and pages people look at: SVG, HTML, tables. Pure.
 
+/// How the styles of all pages name a computer that is dark, spelled alike so that a page can be made dark
+/// or light whatever the computer is.
+pub const DARK_COMPUTER: &str = "@media(prefers-color-scheme:dark)";
+
 pub mod chart;
 pub mod colour;
 pub mod html;

@@ -8,6 +8,7 @@ console error, a failed request or a finding of axe fails it too. Figures are pr
 
 import os
 import pathlib
+import re
 import shutil
 import signal
 import statistics
@@ -206,6 +207,31 @@ def carry_out(window):
     window.sound("a job")
 
 
+def a_click_on_a_busy_page_is_a_click(window):
+    """Of its end the page comes to know long after a held button would have acted."""
+    page = window.page
+    page.evaluate("""async () => {
+        const { hold } = await import("/orders.js");
+        const button = hold("tried", () => { button.dataset.acts = Number(button.dataset.acts ?? 0) + 1; }, { id: "tried" });
+        button.addEventListener("pointerup", (event) => { button.dataset.late = performance.now() - event.timeStamp; });
+        document.getElementById("main").prepend(button);
+    }""")
+    tried = page.locator("#tried")
+    tried.hover()
+    page.mouse.down()
+    page.evaluate("() => { setTimeout(() => { const end = performance.now() + 2500; while (performance.now() < end); }, 50); }")
+    time.sleep(0.3)
+    page.mouse.up()
+    expect(tried).to_have_attribute("data-late", re.compile("."))
+    late = float(tried.get_attribute("data-late"))
+    check("the page was busy when the button was let go", late > 1500, f"{late} ms")
+    page.wait_for_timeout(1500)
+    check("a click on a page that was busy is no held button", tried.get_attribute("data-acts") is None)
+    window.hold("#tried")
+    expect(tried).to_have_attribute("data-acts", "1")
+    page.evaluate("() => document.getElementById('tried').remove()")
+
+
 def stop_with_an_object(window, cell):
     page = window.page
     token = cell.open("--token", "--role", "approve", "--name", "client")
@@ -228,6 +254,7 @@ def stop_with_an_object(window, cell):
     check("the table has it where the arm has it", page.locator("#carried").count() == 1)
     window.picture("live-stopped")
     window.sound("a stop")
+    check("what an order began is not announced beside the stop", page.locator("#answer.over").count() == 0)
     page.click("#recover-show")
     window.text("#answer", "plank")
     page.wait_for_timeout(6000)
@@ -241,7 +268,15 @@ def stop_with_an_object(window, cell):
     expect(page.locator("#holding")).to_have_count(0)
     expect(page.locator("#carried")).to_have_count(0)
     check("and where it was put, until it is seen there", page.locator(".t-unseen").count() == 1)
+    window.screen("goal")
+    check("also where a goal is set", page.locator(".t-unseen").count() == 1)
+    window.screen("live")
     window.text("#armed", "disarmed")
+    try:
+        previewed = str(client._open("/api/v1/preview", {"text": "version: 1\ngoal: {look: true}\n"}))
+    except Refused as refused:
+        previewed = str(refused)
+    check("no preview is made from a look that it has outlived", "was carried since the table was seen" in previewed, previewed)
     events = client.events()
     kinds = {next(events)[0] for _ in range(12)}
     check("the client follows the events", {"status", "arm", "beat"} <= kinds, str(kinds))
@@ -383,6 +418,7 @@ def main():
             window.sign_in()
             figures(playwright, cell)
             window.picture("live-first")
+            a_click_on_a_busy_page_is_a_click(window)
             set_a_goal(window, cell)
             carry_out(window)
             play_back(window)

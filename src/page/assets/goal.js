@@ -3,15 +3,16 @@
 
 import { h, s, card, fill } from "./dom.js";
 import { api, on, state, may } from "./net.js";
-import { t, duration, number } from "./text.js";
-import { view, ground, outline, foreign, labels, arrows, numbers, at } from "./table.js";
+import { here, t, duration, number } from "./text.js";
+import { view, ground, outline, foreign, labels, arrows, numbers, at, places, drawnAs } from "./table.js";
 
 const draft = { poses: new Map(), chosen: null, troubles: [], plan: null, rule: null };
 const round = (value, digits) => Number(value.toFixed(digits));
 const movable = () => state.cell.objects.filter((known) => !known.fixed);
 
-function seen() {
-  return new Map((state.sight?.objects ?? []).map(({ id, pose }) => [id, pose]));
+/** Where each object lies that lies somewhere: not what hangs on the gripper, nor what was lost. */
+function lying() {
+  return new Map([...places()].filter(([, { held, lost }]) => !held && !lost).map(([id, { pose }]) => [id, pose]));
 }
 
 const objects = () => [...draft.poses].map(([id, pose]) => ({ id, pose: pose.map((value) => round(value, 5)) }));
@@ -145,12 +146,11 @@ export function goalPage(main) {
 
   function draw() {
     const focused = document.activeElement?.id;
-    const there = seen();
     drawing = view();
     drawing.setAttribute("role", "group");
     drawing.setAttribute("aria-label", t("The goal; drag outlines, or move the chosen one with arrow keys, q and e turn it"));
     const steps = draft.plan?.steps ?? [];
-    drawing.append(ground(), s("g", {}, [...there].map(([id, pose]) => { const now = outline(id, pose, "now"); if (now) now.style.opacity = 0.45; return now; })),
+    drawing.append(ground(), s("g", {}, [...places().values()].map((one) => { const now = outline(one.id, one.pose, one.held ? "now t-held" : drawnAs(one)); if (now) now.style.opacity = 0.45; return now; })),
       s("g", {}, (state.sight?.foreign ?? []).map(foreign)),
       s("g", {}, steps.filter(({ kind }) => kind !== "goal").map(({ object: id, to }) => outline(id, to, "goal"))), s("g", {}, [...draft.poses].map(handle)),
       s("g", {}, arrows(steps)),
@@ -181,14 +181,14 @@ export function goalPage(main) {
     const line = ({ id, colour }) => {
       const swatch = h("span", { class: "swatch" });
       swatch.style.background = colour;
-      const wanted = h("input", { type: "checkbox", id: "want-" + id, checked: draft.poses.has(id), change: (event) => { if (event.target.checked) draft.poses.set(id, [...(seen().get(id) ?? [state.cell.table[0] / 2, state.cell.table[1] / 2, 0])]); else draft.poses.delete(id); changed(event.target.checked ? id : null); } });
+      const wanted = h("input", { type: "checkbox", id: "want-" + id, checked: draft.poses.has(id), change: (event) => { if (event.target.checked) draft.poses.set(id, [...(lying().get(id) ?? [state.cell.table[0] / 2, state.cell.table[1] / 2, 0])]); else draft.poses.delete(id); changed(event.target.checked ? id : null); } });
       return h("tr", {}, h("td", {}, h("label", { for: "want-" + id }, wanted, " ", swatch, " ", id)), draft.poses.has(id) ? numbersOf(id) : h("td", { colspan: 3, class: "soft" }, t("may end anywhere")));
     };
-    fill(list, h("table", {}, h("thead", {}, h("tr", {}, [t("object"), "x mm", "y mm", t("angle")].map((title) => h("th", { scope: "col" }, title)))), h("tbody", {}, movable().map(line))));
+    fill(list, h("table", { id: "wanted" }, h("thead", {}, h("tr", {}, [t("object"), "x mm", "y mm", t("angle")].map((title) => h("th", { scope: "col" }, title)))), h("tbody", {}, movable().map(line))));
   }
 
   const take = () => {
-    draft.poses = new Map([...seen()].filter(([id]) => movable().some((known) => known.id === id)).map(([id, pose]) => [id, [...pose]]));
+    draft.poses = new Map([...lying()].filter(([id]) => movable().some((known) => known.id === id)).map(([id, pose]) => [id, [...pose]]));
     changed(null);
   };
 
@@ -211,7 +211,7 @@ export function goalPage(main) {
 
   const swapped = () => {
     const [a, b] = ["swap-a", "swap-b"].map((id) => document.getElementById(id).value);
-    const there = seen();
+    const there = lying();
     const [pa, pb] = [a, b].map((id) => draft.poses.get(id) ?? there.get(id));
     if (!pa || !pb || a === b) return;
     draft.poses.set(a, [...pb]);
@@ -250,11 +250,11 @@ export function goalPage(main) {
       fill(result, h("p", { class: "note", id: "planned" }, h("strong", {}, `${t("moves")}: ${answer.plan.steps.length}`), `, ${t("{count} to a temporary place", { count: answer.buffers })}`,
         answer.plan.lower_bound !== null ? `; ${t("at least {bound} are needed", { bound: number(answer.plan.lower_bound, answer.plan.lower_bound % 1 ? 2 : 0) })}` : "",
         answer.plan.seconds ? `; ${t("about {time}", { time: duration(answer.plan.seconds) })}` : "", `. ${t("From a look {time} ago.", { time: duration(answer.plan.sight_age_s) })}`),
-        answer.doubt && h("p", { class: "note wrong", id: "doubt" }, t("As the table was seen last, the cell would refuse this job:"), " ", answer.doubt.message, answer.doubt.hint ? [h("br"), "→ ", answer.doubt.hint] : null));
+        answer.doubt && h("p", { class: "note wrong", id: "doubt" }, t("As the table was seen last, the cell would refuse this job:"), " ", here(answer.doubt.message), answer.doubt.hint ? [h("br"), "→ ", here(answer.doubt.hint)] : null));
       draw();
       return answer;
     } catch (error) {
-      fill(result, h("p", { class: "note wrong" }, error.message, error.hint ? h("span", {}, h("br"), "→ ", error.hint) : null));
+      fill(result, h("p", { class: "note wrong" }, here(error.message), error.hint ? h("span", {}, h("br"), "→ ", here(error.hint)) : null));
     }
   };
 
@@ -264,9 +264,9 @@ export function goalPage(main) {
       // From now on the plan is the job's own.
       draft.plan = null;
       draw();
-      fill(result, h("p", { class: "note", id: "submitted" }, t("Submitted: job {job}, {state}.", { job: id, state: t(word) }), message ? ` ${message}` : "", state.status?.armed ? [" ", h("strong", {}, t("The cell is armed: the arm looks at the table now."))] : "", " ", h("a", { href: "#live" }, t("To the cell"))));
+      fill(result, h("p", { class: "note", id: "submitted" }, t("Submitted: job {job}, {state}.", { job: id, state: t(word) }), message ? ` ${here(message)}` : "", state.status?.armed ? [" ", h("strong", {}, t("The cell is armed: the arm looks at the table now."))] : "", " ", h("a", { href: "#live" }, t("To the cell"))));
     } catch (error) {
-      fill(result, h("p", { class: "note wrong" }, error.message));
+      fill(result, h("p", { class: "note wrong" }, here(error.message)));
     }
   };
 
@@ -275,7 +275,7 @@ export function goalPage(main) {
       const { id } = await api("jobs", { body: { text: JSON.stringify({ version: 1, goal: { look: true }, rerun: true }), name: "look" } });
       fill(result, h("p", { class: "note", id: "looking" }, t("Job {job} looks at the table as soon as the cell is armed.", { job: id }), " ", h("a", { href: "#live" }, t("To the cell"))));
     } catch (error) {
-      fill(result, h("p", { class: "note wrong" }, error.message));
+      fill(result, h("p", { class: "note wrong" }, here(error.message)));
     }
   };
 
@@ -291,7 +291,7 @@ export function goalPage(main) {
       draft.poses = new Map(wanted.map(({ id, pose }) => [id, pose]));
       changed(null);
     } catch (error) {
-      fill(result, h("p", { class: "note wrong" }, error.message));
+      fill(result, h("p", { class: "note wrong" }, here(error.message)));
     }
   });
   const save = async () => {
@@ -302,7 +302,7 @@ export function goalPage(main) {
       fill(result, h("p", { class: "note" }, t("Saved as {name}.", { name })));
       listFiles();
     } catch (error) {
-      fill(result, h("p", { class: "note wrong" }, error.message));
+      fill(result, h("p", { class: "note wrong" }, here(error.message)));
     }
   };
 
@@ -329,6 +329,6 @@ export function goalPage(main) {
         h("label", { for: "replace" }, h("input", { type: "checkbox", id: "replace" }), " ", t("replace")), h("button", { type: "button", id: "save", disabled: !may("operate"), click: save }, t("Save")))))));
   listFiles();
   if (!draft.poses.size && state.sight) take(); else { draw(); check(null); }
-  const stops = [on("sight", () => (draft.poses.size ? draw() : take()))];
+  const stops = [on("sight", () => (draft.poses.size ? draw() : take())), on("carried", () => draw())];
   return () => stops.forEach((stop) => stop());
 }

@@ -13,7 +13,7 @@ function row(job, open) {
   return h("tr", { class: "pick", click: () => open(job.id) },
     h("td", {}, h("button", { type: "button", class: "link" }, job.id)), h("td", {}, word(job.state)), h("td", {}, moment(job.claimed_unix_s)),
     h("td", {}, job.moves === null ? "–" : `${job.moves}${job.lower_bound !== null ? ` / ≥ ${number(job.lower_bound, job.lower_bound % 1 ? 2 : 0)}` : ""}`),
-    h("td", {}, job.seconds === null ? "–" : duration(job.seconds)), h("td", {}, job.message ?? ""));
+    h("td", {}, job.seconds === null ? "–" : duration(job.seconds)), h("td", {}, here(job.message ?? "")));
 }
 
 function detail(job) {
@@ -22,14 +22,14 @@ function detail(job) {
   const times = Object.entries(result?.times ?? {}).filter(([, seconds]) => seconds > 0.05).sort((a, b) => b[1] - a[1]);
   const image = (name, words) => job.files.includes(name) && h("figure", {}, h("img", { src: `/api/v1/jobs/${id}/files/${name}`, alt: words, width: "100%" }), h("figcaption", { class: "soft" }, words));
   return [
-    h("p", { class: "say" }, word(job.state), result ? ` – ${result.message}` : ""),
-    result?.hint && h("p", { class: "hint" }, "→ ", here(result.hint)),
+    h("p", { class: "say" }, word(job.state), job.ended_unix_s ? h("span", { class: "soft" }, `, ${moment(job.ended_unix_s)}`) : "", result ? ` – ${here(result.message)}` : ""),
+    result?.hint && h("p", { class: "hint" }, job.last ? "→ " : `${t("what was to be done")}: `, here(result.hint)),
     h("div", { class: "row" }, h("a", { class: "button", href: `/api/v1/jobs/${id}/report${light()}`, target: "_blank" }, t("Report")), job.recorded && h("a", { class: "button", id: "playback", href: `/api/v1/jobs/${id}/playback${light()}`, target: "_blank" }, t("Play back"))),
     h("div", { class: "grid" },
       h("div", {}, h("h3", {}, t("Story")), h("pre", { tabindex: 0 }, job.story),
         times.length ? [h("h3", {}, t("Where the time went")), h("table", {}, times.map(([what, seconds]) => h("tr", {}, h("td", {}, what), h("td", {}, `${number(seconds)} s`))))] : null,
         result?.objects.length ? [h("h3", {}, t("Objects")), h("table", {}, h("tr", {}, h("th", {}, t("object")), h("th", {}, t("off by"))),
-          result.objects.map((object) => h("tr", {}, h("td", {}, object.id), h("td", {}, object.error_mm === null ? t("not seen") : `${number(object.error_mm)} mm, ${number(object.error_deg)}°`))))] : null),
+          result.objects.map((object) => h("tr", {}, h("td", {}, object.id), h("td", {}, object.error_mm === null ? (job.unseen_since_gripped.includes(object.id) ? t("not seen since it was gripped") : t("not seen")) : `${number(object.error_mm)} mm, ${number(object.error_deg)}°`))))] : null),
       h("div", {}, image("plan.jpg", t("When the plan was made")), image("end.jpg", t("The last picture")), image("plan.svg", t("The plan")))),
   ];
 }

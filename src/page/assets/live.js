@@ -3,7 +3,7 @@
 import { h, s, card, fill } from "./dom.js";
 import { api, colour, object, on, state } from "./net.js";
 import { here, t, time, duration, number } from "./text.js";
-import { view, ground, outline, foreign, labels, arrows, numbers, after, at, carried, onTheGripper } from "./table.js";
+import { view, ground, outline, foreign, labels, arrows, numbers, after, at, places, drawnAs, onTheGripper } from "./table.js";
 import { picture } from "./picture.js";
 import { arm3d } from "./arm.js";
 import { orders } from "./orders.js";
@@ -32,16 +32,16 @@ function now() {
       h("span", { class: `badge ${status.armed || status.moving ? "warn" : "good"}`, id: "armed" }, status.armed ? t("ARMED: the arm may move") : status.moving ? t("disarmed, THE ARM MAY STILL MOVE") : t("disarmed")), " ",
       status.paused && h("span", { class: "badge warn", id: "paused" }, status.moving ? t("pausing, THE ARM MAY STILL MOVE") : t("paused")), " ",
       status.holding && h("span", { class: "badge warn", id: "holding" }, t("in the gripper"), ": ", status.holding)),
-    h("p", { class: "say", id: "message", role: "status" }, status.stopped && !status.armed && status.message === "idle" ? t("stopped") : status.message),
+    h("p", { class: "say", id: "message", role: "status" }, status.stopped && !status.armed && status.message === "idle" ? t("stopped") : here(status.message)),
     status.hint && h("p", { class: "hint", id: "hint" }, "→ ", here(status.hint)),
-    !status.hint && status.holding && !status.armed && !status.moving && h("p", { class: "hint" }, "→ ", t("Something hangs on the gripper: the ways back are below the orders.")),
+    !status.hint && status.holding && !status.armed && !status.moving && h("p", { class: "hint" }, "→ ", t("Something hangs, or may hang, on the gripper: the ways back are below the orders.")),
     status.shared && h("p", { class: "soft", id: "shared" }, t("Configuration shared with other cells"), ": ", status.shared),
-    status.because && h("p", { class: "soft" }, status.because),
+    status.because && h("p", { class: "soft" }, here(status.because)),
     // Nothing was looked at since celld was started: where to begin.
     !state.sight && !status.job && !status.stopped && !status.holding && h("p", { class: "soft", id: "begin" }, t("To begin:"), " ", h("a", { href: "#goal" }, t("Set a goal")), ". ", t("There the cell looks at the table once it is armed, and plans before it moves anything.")),
     // On a way back it is being left.
-    status.stopped && !status.armed && h("p", { class: "note wrong", id: "stopped" }, h("strong", {}, status.stopped.message), h("br"), status.stopped.hint === status.hint ? "" : here(status.stopped.hint)),
-    status.job && h("div", {}, h("p", {}, h("strong", {}, t("Job {job}", { job: status.job })), all ? `: ${t("{made} of {all} moves", { made, all })}` : "", left !== null ? `, ${t("about {time} left", { time: duration(left) })}` : ""),
+    status.stopped && !status.armed && h("p", { class: "note wrong", id: "stopped" }, h("strong", {}, here(status.stopped.message)), h("br"), status.stopped.hint === status.hint ? "" : here(status.stopped.hint)),
+    status.job && h("div", {}, h("p", {}, h("strong", {}, t("Job {job}", { job: status.job })), all ? `: ${t("{made} of {all} moves", { made, all })}` : "", left === null ? "" : made < all ? `, ${t("about {time} left, then a last look", { time: duration(left) })}` : `, ${t("a last look at the table")}`),
       all ? h("progress", { value: made, max: all, "aria-label": t("Progress of the job") }) : null),
     h("p", { class: "soft" }, status.job ? t("{count} more jobs wait", { count: status.waiting }) : t("{count} jobs wait", { count: status.waiting }), status.unread ? `, ${t("{count} files are not read yet", { count: status.unread })}` : ""),
   ];
@@ -51,7 +51,7 @@ function devices() {
   const { status, arm, vacuum } = state;
   if (!status) return null;
   const row = ({ name, ready, message, age_s, address, identity }) => [h("dt", {}, t(name)),
-    h("dd", {}, h("strong", { class: ready ? "good" : "bad" }, ready ? t("ready") : t("not ready")), ", ", message,
+    h("dd", {}, h("strong", { class: ready ? "good" : "bad" }, ready ? t("ready") : t("not ready")), ", ", here(message),
       h("br"), h("span", { class: "soft" }, address, identity ? `, ${identity}` : "", age_s !== null && age_s > 2 ? `, ${t("answered {time} ago", { time: duration(age_s) })}` : ""))];
   return h("dl", {}, status.devices.map(row),
     arm && [h("dt", {}, t("safety")), h("dd", { id: "safety" }, arm.safety_mode), h("dt", {}, t("robot mode")), h("dd", {}, arm.robot_mode),
@@ -81,23 +81,20 @@ export function tableCard() {
     const count = Number(slider.value);
     const seen = state.sight;
     const moving = plan && status?.job && !count;
-    const poses = plan && count ? after(plan, count) : new Map((seen?.objects ?? []).map(({ id, pose }) => [id, pose]));
-    if (!poses.size && plan) for (const { id, pose } of plan.table) poses.set(id, pose);
-    const moved = count ? [] : carried();
-    for (const { id, pose } of moved) poses.set(id, pose);
-    const unseen = new Set(moved.map(({ id }) => id));
-    const lost = new Set(moved.filter((object) => object.lost).map(({ id }) => id));
-    const hanging = moved.find(({ held }) => held);
+    const known = count ? new Map([...after(plan, count)].map(([id, pose]) => [id, { id, pose }])) : places();
+    if (!seen && plan && !count) for (const { id, pose } of plan.table) if (!known.has(id)) known.set(id, { id, pose });
+    const hanging = [...known.values()].find(({ held }) => held);
+    const lying = [...known.values()].filter((one) => one !== hanging);
     const made = moving ? (status.step?.[0] ?? 0) : count;
     const steps = plan?.steps ?? [];
     const goals = new Map(steps.filter(({ kind }) => kind === "goal").map(({ object: id, to }) => [id, to]));
     const buffers = steps.filter(({ kind }) => kind !== "goal");
     const drawing = view();
-    drawing.setAttribute("aria-label", t("The table from above: {count} objects, {moves} moves planned", { count: poses.size, moves: steps.length }));
-    drawing.append(ground(), s("g", {}, [...poses].filter(([id]) => id !== hanging?.id).map(([id, pose]) => outline(id, pose, lost.has(id) ? "now t-lost" : unseen.has(id) ? "now t-unseen" : "now"))),
+    drawing.setAttribute("aria-label", t("The table from above: {count} objects, {moves} moves planned", { count: known.size, moves: steps.length }));
+    drawing.append(ground(), s("g", {}, lying.map((one) => outline(one.id, one.pose, drawnAs(one)))),
       s("g", {}, [...goals].map(([id, pose]) => outline(id, pose, "goal")), buffers.map(({ object: id, to }) => outline(id, to, "goal"))),
       s("g", {}, (seen?.foreign ?? []).map(foreign)), s("g", {}, arrows(steps, made)),
-      labels([...numbers(steps, made), ...[...poses].filter(([id]) => id !== hanging?.id).map(([id, pose]) => ({ text: lost.has(id) ? `${id} ?` : id, at: at(object(id)?.centre ?? [0, 0], pose) }))]));
+      labels([...numbers(steps, made), ...lying.map(({ id, pose, lost }) => ({ text: lost ? `${id} ?` : id, at: at(object(id)?.centre ?? [0, 0], pose) }))]));
     follow = hanging ? onTheGripper(drawing, hanging.id) : null;
     follow?.(hanging);
     fill(holder, drawing);
@@ -135,7 +132,7 @@ function moves() {
   ];
 }
 
-const log = () => h("ol", { class: "log", tabindex: 0, "aria-label": t("What happened") }, [...state.sentences].reverse().slice(0, 100).map(({ unix_s, alarm, text }) => h("li", { class: alarm ? "warn" : "" }, h("time", {}, time(unix_s)), text)));
+const log = () => h("ol", { class: "log", tabindex: 0, "aria-label": t("What happened") }, [...state.sentences].reverse().slice(0, 100).map(({ unix_s, alarm, text }) => h("li", { class: alarm ? "warn" : "" }, h("time", {}, time(unix_s)), here(text))));
 
 function trends() {
   const body = h("div");

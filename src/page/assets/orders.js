@@ -7,38 +7,46 @@ import { here, t, time } from "./text.js";
 
 const HOLD_MS = 1200;
 
-/** A button that acts when it was held down, by finger, mouse or key. */
+/** A timer that comes later than this comes from a page that was busy, and is waited for once more. */
+const LATE_MS = 100;
+const AGAIN_MS = 400;
+
+/** A button that acts when it was held down, by finger, mouse or key. What counts is when finger or key did
+    what they did, not when a busy page comes to know of it: a click is a click whatever the page was at. */
 export function hold(label, act, attributes = {}) {
   let [timer, since] = [null, 0];
   const button = h("button", { type: "button", class: "hold", "aria-description": t("hold for a second"), ...attributes }, label);
-  const begin = () => {
+  const begin = (event) => {
     if (timer || button.disabled) return;
     button.classList.add("holding");
-    since = performance.now();
+    since = event.timeStamp;
     window.addEventListener("pointerup", end);
     window.addEventListener("pointercancel", end);
-    // A button that was replaced meanwhile is not held any more, whatever the finger does.
+    wait(HOLD_MS, since + HOLD_MS);
+  };
+  const wait = (ms, until) => {
     timer = setTimeout(() => {
-      const held = button.isConnected && !button.disabled;
-      clearTimeout(timer);
-      timer = null;
-      end();
-      if (held) act();
-    }, HOLD_MS);
+      // That the button was let go may still be on its way here.
+      if (performance.now() - until > LATE_MS) wait(AGAIN_MS, performance.now() + AGAIN_MS);
+      else over(true);
+    }, ms);
   };
   const end = (event) => {
-    const letGo = event?.type === "pointerup" || event?.type === "keyup";
-    // By the clock: on a busy computer the timer comes late.
-    if (timer && letGo && performance.now() - since >= HOLD_MS) {
-      clearTimeout(timer);
-      timer = null;
-      if (button.isConnected && !button.disabled) act();
-    } else if (timer && letGo) clicked(label);
+    if (!timer) return;
+    const letGo = event.type === "pointerup" || event.type === "keyup";
+    const held = letGo && event.timeStamp - since >= HOLD_MS;
+    // Who only clicks sees why nothing came of it.
+    if (letGo && !held) clicked(label);
+    over(held);
+  };
+  const over = (held) => {
     clearTimeout(timer);
     timer = null;
     window.removeEventListener("pointerup", end);
     window.removeEventListener("pointercancel", end);
     button.classList.remove("holding");
+    // A button that was replaced meanwhile is not held any more, whatever the finger does.
+    if (held && button.isConnected && !button.disabled) act();
   };
   button.addEventListener("pointerdown", begin);
   for (const kind of ["pointerup", "pointerleave", "pointercancel", "blur", "keyup"]) button.addEventListener(kind, end);

@@ -3,7 +3,7 @@
 
 import { h, s, card, fill } from "./dom.js";
 import { api, on, state, colour } from "./net.js";
-import { t } from "./text.js";
+import { t, time } from "./text.js";
 import { film } from "./film.js";
 
 const line = (points) => "M" + points.map(([x, y]) => `${x} ${y}`).join("L") + "Z";
@@ -13,16 +13,17 @@ export function picture() {
   const over = s("svg", { "aria-hidden": "true" });
   const holder = h("div", { class: "picture", hidden: true }, image, over);
   const none = h("p", { class: "soft" }, t("No picture yet: the camera takes one when the cell looks."));
+  const taken = h("p", { class: "soft", id: "taken", hidden: true });
   const live = film();
   const moving = h("div", { class: "picture", hidden: true }, live.image);
-  const toggle = h("button", { type: "button", id: "film", "aria-pressed": "false", click: () => turn(moving.hidden) }, t("Live"));
+  const toggle = h("button", { type: "button", id: "film", "aria-pressed": "false", hidden: !state.cell.film, click: () => turn(moving.hidden) }, t("Live"));
   let shown = 0;
   let wanted = "";
   const turn = (on) => {
     toggle.setAttribute("aria-pressed", String(on));
     toggle.classList.toggle("first", on);
     moving.hidden = !on;
-    holder.hidden = on || !shown;
+    holder.hidden = taken.hidden = on || !shown;
     none.hidden = on || Boolean(shown);
     live.turn(on);
     localStorage.setItem("film", on ? "on" : "");
@@ -56,7 +57,8 @@ export function picture() {
         image.src = `/api/v1/picture.jpg?number=${shown}`;
       }
       none.hidden = true;
-      holder.hidden = !moving.hidden;
+      holder.hidden = taken.hidden = !moving.hidden;
+      taken.textContent = t("Taken at {time}", { time: time(view.unix_s) });
       draw(view);
     } catch { /* there is none yet */ }
   };
@@ -65,6 +67,6 @@ export function picture() {
     if (now !== wanted) { wanted = now; update(); }
   }), live.stop];
   update();
-  if (localStorage.getItem("film")) turn(true);
-  return { element: card(t("Camera"), h("div", { class: "row" }, toggle), holder, moving, none), stop: () => stops.forEach((stop) => stop()) };
+  if (localStorage.getItem("film") && state.cell.film) turn(true);
+  return { element: card(t("Camera"), h("div", { class: "row" }, toggle), holder, moving, taken, none), stop: () => stops.forEach((stop) => stop()) };
 }

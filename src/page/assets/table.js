@@ -65,6 +65,16 @@ export function carried() {
   return hanging ? [...others, hanging] : others;
 }
 
+/** Where each object is as far as is known: as it was seen last, or where the arm has carried it since. */
+export function places() {
+  const found = new Map((state.sight?.objects ?? []).map(({ id, pose }) => [id, { id, pose }]));
+  for (const one of carried()) found.set(one.id, { ...one, unseen: true });
+  return found;
+}
+
+/** How an object that is at such a place is drawn. */
+export const drawnAs = ({ unseen, lost }) => (lost ? "now t-lost" : unseen ? "now t-unseen" : "now");
+
 /** An object that hangs on the gripper; what is returned moves it. */
 export function onTheGripper(drawing, id) {
   const known = object(id);

@@ -18,7 +18,6 @@ use cell_motion::put_down::Grasp;
 use cell_values::time::Timestamp;
 use cell_vision::foreign::HeldBody;
 use cell_vision::observe::Observation;
-use rearrange::geometry::pose::Pose2;
 
 /// What hangs on the tool, in its frame: the pose is as seen from above, and the tool looks down, so its
 /// y axis is the other way round.
@@ -216,12 +215,11 @@ impl Supervisor {
         }
     }
 
-    /// The object that hangs on the gripper, as far as is known, and how: its pose in the tool's frame seen
-    /// from above, unless the tool did not point straight down when it was gripped.
-    pub fn object_on_the_gripper(&self) -> Option<(&str, Option<Pose2>)> {
+    /// The object that hangs on the gripper, as far as is known, and how, unless the tool did not point
+    /// straight down when it was gripped.
+    pub fn object_on_the_gripper(&self) -> Option<(&str, Option<&Grasp>)> {
         let held = self.back.held.as_ref().filter(|held| !held.let_go && self.back.fell.is_none())?;
-        let hangs = held.grasp.as_ref().map(|grasp| grasp.load().tool_from_object);
-        Some((&held.object, hangs))
+        Some((&held.object, held.grasp.as_ref()))
     }
 
     /// What hangs on the gripper, may hang or fell, in a few words; `None` where it is empty.
