@@ -406,5 +406,5 @@ fn unlocking(pair: &mut Pair, stage: &Stage) -> bool {
 fn way_back(pair: &mut Pair, stage: &Stage) -> bool {
     let stopped = with(pair, stage, "ur.pstop", 0);
     pair.order(Order::Recover(WayBack::Place));
-    stopped && shows(pair, "looking") && rests(pair)
+    stopped && shows(pair, "on a way back: looking") && rests(pair)
 }

@@ -3,7 +3,7 @@
 //! In: an order that was carried out, and the state that it led to. Out: [`Reply`]. An order that changes
 //! nothing says so.
 
-use crate::orders::{Order, Reply, WayBack};
+use crate::orders::{Approval, Order, Reply, WayBack};
 use crate::supervisor::cell::Supervisor;
 use crate::supervisor::gates::motion_speed;
 use crate::supervisor::input::DeviceSnapshot;
@@ -56,22 +56,60 @@ impl Supervisor {
             Phase::Work(_) => "armed: the pick-n-place under way goes on",
             Phase::Approve => "armed; the plan waits for `celld approve`",
             Phase::BringUp(BringUp { requested: Some(_), .. }) => {
-                "armed: celld switches the arm's power on and releases its brakes now"
+                let now = "armed: celld switches the arm's power on and releases its brakes now";
+                return format!("{now}{}", self.once_it_runs());
             }
-            Phase::BringUp(_) => "armed: celld starts its program on the robot now, then the arm moves",
+            Phase::BringUp(_) => {
+                let now = "armed: celld starts its program on the robot now";
+                return format!("{now}{}", self.once_it_runs());
+            }
             Phase::Look(_) if self.mode.paused() => {
                 "armed: the arm goes round its look poses, then a pause is in force, `celld resume` ends it"
             }
             _ if self.mode.paused() => "armed; a pause is in force, `celld resume` ends it",
-            Phase::Look(_) => "armed: the arm moves to look at the table now",
+            Phase::Look(_) => {
+                return format!("armed: the arm moves to look at the table now{}", self.after_the_look());
+            }
             Phase::Ready | Phase::Plan | Phase::Recover(_) | Phase::Visit(_) => {
                 match self.round.is_some() || self.job.is_some() {
                     true => "armed: the job goes on now",
-                    false => "armed; nothing moves until there is a job",
+                    // One may be on its way already.
+                    false => "armed: the arm moves as soon as there is a job",
                 }
             }
         };
         now.to_string()
+    }
+
+    /// What the arm does once the robot runs celld's program.
+    fn once_it_runs(&self) -> String {
+        match (self.job.is_some(), self.mode.paused()) {
+            (true, false) => format!(", then the arm moves to look at the table{}", self.after_the_look()),
+            (true, true) => "; then a pause is in force, `celld resume` ends it".to_string(),
+            (false, _) => ", then the arm moves as soon as there is a job".to_string(),
+        }
+    }
+
+    /// What the arm does once the table was looked at.
+    fn after_the_look(&self) -> &'static str {
+        let Some(job) =
+            self.job.as_ref().filter(|job| job.order.rule.is_some() || !job.order.goals.is_empty())
+        else {
+            return "";
+        };
+        match (job.order.approval, self.plan_is_agreed_to()) {
+            (Approval::Never, _) => ", then it carries out what is planned: no approval is needed",
+            (Approval::Job, true) => ", then it carries out what is planned: the job is approved",
+            (Approval::Always, true) => {
+                ", then it carries out the approved plan; one in which a move differs waits for approval"
+            }
+            (Approval::Job | Approval::Always, false) => "; the plan then waits for approval",
+        }
+    }
+
+    /// A person has agreed to what the job does next.
+    pub(crate) fn plan_is_agreed_to(&self) -> bool {
+        self.job.as_ref().is_some_and(|job| job.approved || !job.order.agreed.is_empty())
     }
 
     /// That the cell is disarmed, and what the arm still does.

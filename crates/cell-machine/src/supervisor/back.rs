@@ -104,6 +104,8 @@ pub(crate) struct PlaceSearch {
     pub tried: Option<Timestamp>,
     /// Why the first cannot be reached.
     pub fault: Option<String>,
+    /// Why it is not put down where it was carried to.
+    pub not_where_meant: Option<String>,
 }
 
 /// Where what is held is put down.

@@ -73,7 +73,10 @@ impl Supervisor {
             |pose: &Pose2| self.is_free(&object.footprint, object.grip_point, held.height, pose, &taken);
         let ring = around(below).map(|pose| (pose, false));
         let candidates = std::iter::once((held.to, true)).chain(ring).filter(|(pose, _)| free(pose));
-        Ok(PlaceSearch { places: candidates.take(TRIES).collect(), tried: None, fault: None })
+        let not_where_meant = (!free(&held.to))
+            .then(|| "where it was to go is not free, as far as the look shows it".to_string());
+        let places = candidates.take(TRIES).collect();
+        Ok(PlaceSearch { places, tried: None, fault: None, not_where_meant })
     }
 
     /// Tries the path to the next place, once at a time.
@@ -107,6 +110,9 @@ impl Supervisor {
         match grasp.put_down(&self.model.arm, q, &pose, &self.cycle(), &table) {
             Ok(paths) => Searched::Found(pose, meant, Box::new(paths)),
             Err(fault) => {
+                if meant {
+                    search.not_where_meant = Some(format!("where it was to go cannot be reached: {fault}"));
+                }
                 search.fault.get_or_insert_with(|| fault.to_string());
                 Searched::NotYet
             }

@@ -370,8 +370,12 @@ impl Supervisor {
             BackStage::Leaving => {
                 let place = self.back.recovery.as_ref().and_then(|recovery| recovery.place.as_ref());
                 let said = place.map_or_else(String::new, |place| {
-                    let which = if place.meant { "where it was to go" } else { "at the nearest free place" };
-                    format!("the object was put down {which}{}", place_words(&place.to))
+                    let (at, search) = (place_words(&place.to), self.back.recovery.as_ref());
+                    let why = search.and_then(|back| back.search.as_ref()?.not_where_meant.clone());
+                    match why.filter(|_| !place.meant) {
+                        Some(why) => format!("the object was put down at the nearest free place{at}: {why}"),
+                        None => format!("the object was put down where it was to go{at}"),
+                    }
                 });
                 self.end_recovery(Ok(said), out);
             }
@@ -487,5 +491,7 @@ pub(crate) fn protective(devices: &DeviceSnapshot) -> bool {
 }
 /// A place on the table, as what follows the name of it.
 fn place_words(Pose2 { x, y, theta }: &Pose2) -> String {
-    format!(" (x {:.0} mm, y {:.0} mm, {:.0} degrees)", x * 1e3, y * 1e3, theta.to_degrees())
+    // Without the sign of what rounds to 0.
+    let [x, y, degrees] = [x * 1e3, y * 1e3, theta.to_degrees()].map(|value| value.round() + 0.0);
+    format!(" (x {x} mm, y {y} mm, {degrees} degrees)")
 }

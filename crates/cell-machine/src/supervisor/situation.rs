@@ -139,7 +139,10 @@ impl Supervisor {
                 let fell = self.back.fell.as_ref().map_or_else(String::new, |fell| format!("{fell}; "));
                 format!("held: {fell}without vacuum {object} may hang on the cups ({vacuum})")
             }
-            (false, Some(object)) => format!("held: {object} ({vacuum})"),
+            (false, Some(object)) => match &self.back.fell {
+                Some(fell) => format!("held: {fell}, or hangs on the cups ({vacuum})"),
+                None => format!("held: {object} ({vacuum})"),
+            },
             (false, None) => format!("held: something that celld did not pick ({vacuum})"),
         }
     }
@@ -148,7 +151,11 @@ impl Supervisor {
         let robot = devices.robot?;
         let tool = self.model.arm.tool_at(&robot.q).translation.vector;
         let height = (tool.z - self.held_height()) * 1e3;
-        let what = if self.back.held.is_some() { "what hangs on it" } else { "the cups" };
+        let what = match (&self.back.held, &self.back.fell) {
+            (Some(_), None) => "what hangs on it",
+            (Some(_), Some(_)) => "what may hang on it",
+            (None, _) => "the cups",
+        };
         Some(format!(
             "arm{}: tool at x {:.3} m, y {:.3} m; {what} {height:.0} mm over the table",
             if devices.robot_fresh { "" } else { ", as it was last known" },

@@ -307,6 +307,14 @@ impl Supervisor {
             Phase::Ready => match (self.locked(), stopped, &self.waiting_for) {
                 (Some(closed), ..) => closed.hint().to_string(),
                 (None, Some(stop), _) => self.stop_hint(stop),
+                (None, None, Some(GateClosed::Disarmed)) if self.back.held.is_some() || self.back.grips => {
+                    "something may hang on the gripper: `celld recover` shows the ways back, then `celld arm`"
+                        .to_string()
+                }
+                (None, None, Some(GateClosed::Disarmed)) if self.plan_is_agreed_to() => format!(
+                    "{}: after a look the arm carries out what was approved",
+                    GateClosed::Disarmed.hint()
+                ),
                 (None, None, Some(reason)) => self.hands_off_first(reason.hint()),
                 (None, None, None) if self.mode.armed() && self.mode.paused() => {
                     "`celld resume` goes on".to_string()
@@ -347,6 +355,9 @@ impl Supervisor {
                 (Some(_), None) => Doing::Ready,
             },
             Phase::BringUp(_) => Doing::StartingRobot,
+            Phase::Look(look) if self.back.recovery.is_some() && look.fault.is_none() => {
+                Doing::Recovering(format!("looking {}/{}", look.at + 1, look.poses.len()).into())
+            }
             Phase::Look(look) => {
                 let fault = look.fault.as_ref().map(|fault| fault.code);
                 Doing::Looking(look.at + 1, look.poses.len(), fault)

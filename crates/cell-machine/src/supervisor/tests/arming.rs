@@ -101,11 +101,13 @@ fn an_arm_that_is_off_is_powered_at_the_order_and_the_answer_says_so() {
 fn the_answer_says_what_the_arm_does_next() {
     let mut bench = Bench::new();
     let reply = answer(&bench.feed(order(Order::Arm))).expect("an answer");
-    assert_eq!(reply, Reply::accept("armed; nothing moves until there is a job"));
+    assert_eq!(reply, Reply::accept("armed: the arm moves as soon as there is a job"));
     let mut bench = Bench::new();
     bench.job(false);
     let reply = answer(&bench.feed(order(Order::Arm))).expect("an answer");
-    assert_eq!(reply.message, "armed: celld starts its program on the robot now, then the arm moves");
+    let then =
+        "then the arm moves to look at the table, then it carries out what is planned: no approval is needed";
+    assert_eq!(reply.message, format!("armed: celld starts its program on the robot now, {then}"));
 }
 
 #[test]
@@ -170,7 +172,10 @@ fn a_plan_that_comes_after_a_disarming_is_shown_to_no_person() {
     let reply = answer(&bench.feed(order(Order::Approve { id: "j".into(), plan: None }))).expect("an answer");
     assert!(!reply.accepted, "there is nothing to approve: {reply:?}");
     let reply = answer(&bench.feed(order(Order::Arm))).expect("an answer");
-    assert_eq!(reply.message, "armed: the arm moves to look at the table now");
+    assert_eq!(
+        reply.message,
+        "armed: the arm moves to look at the table now; the plan then waits for approval"
+    );
     bench.look();
     assert!(alarmed(&bench.plan()), "the plan of the new look is");
 }

@@ -398,7 +398,8 @@ fn an_order_is_answered_by_what_it_led_to() {
     bench.ticks(1);
     assert!(reported(&mut bench, Order::Disarm).1.contains("goes on to its next stop"));
     let armed = reported(&mut bench, Order::Arm);
-    assert_eq!(armed, (true, "armed: the arm moves to look at the table now".into()));
+    let looks = "armed: the arm moves to look at the table now; the plan then waits for approval";
+    assert_eq!(armed, (true, looks.into()));
     let mut bench = working();
     for (given, parks) in [(Order::Pause, false), (Order::Park, true), (Order::Pause, false)] {
         let (_, message) = reported(&mut bench, given);

@@ -128,6 +128,20 @@ fn what_was_approved_is_carried_out_and_what_differs_is_requested_again() {
     assert_eq!(intents(&all), 1, "the job is approved, whatever it takes: {all:?}");
 }
 
+/// Whoever arms it knows that no other word is needed before the arm picks.
+#[test]
+fn a_cell_that_carries_out_an_approved_plan_once_it_is_armed_says_so() {
+    let mut bench = Bench::new();
+    let (from, job) = (bench.at, job_of(vec![("a".into(), GOAL)], None, Approval::Always));
+    let agreed = vec![RouteAction { object: "a".into(), from, to: GOAL, to_goal: true }];
+    bench.feed(Input::Job(Box::new(JobOrder { agreed, ..*job })));
+    bench.ticks(1);
+    let hint = bench.cell.status().hint;
+    assert!(hint.contains("carries out what was approved"), "{hint}");
+    let armed = answer(&bench.feed(order(Order::Arm))).expect("an answer");
+    assert!(armed.message.contains("carries out the approved plan"), "{armed:?}");
+}
+
 #[test]
 fn an_agreement_from_before_a_restart_holds_for_the_same_moves_only() {
     for (dx, carried_out) in [(0.0, 1), (0.05, 0)] {
@@ -137,8 +151,8 @@ fn an_agreement_from_before_a_restart_holds_for_the_same_moves_only() {
             RouteAction { object: "b".into(), from, to: GOAL, to_goal: true },
             RouteAction { object: "a".into(), from, to: GOAL, to_goal: true },
         ];
-        let order = job_of(vec![("a".into(), GOAL)], None, Approval::Always);
-        bench.feed(Input::Job(Box::new(JobOrder { agreed, ..*order })));
+        let job = job_of(vec![("a".into(), GOAL)], None, Approval::Always);
+        bench.feed(Input::Job(Box::new(JobOrder { agreed, ..*job })));
         bench.until_planning();
         let mut all = bench.plan();
         all.extend(bench.ticks(20));
