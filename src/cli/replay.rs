@@ -174,9 +174,9 @@ impl Run {
         if let Some(pictures) = &mut self.pictures {
             pictures.take(entry, kind);
         }
-        let found = kind.map_or(Ok(None), |kind| self.replay.take(kind, &entry.data))?;
+        let found = kind.map_or(Ok(None), |kind| self.replay.take(kind, &entry.piece()))?;
         if kind == Some(Kind::Effect)
-            && let Some(Effect::Notify(News::Ended(report))) = effect_of(&entry.data)
+            && let Some(Effect::Notify(News::Ended(report))) = effect_of(&entry.piece())
         {
             self.jobs.push(ended(&report));
         }
@@ -242,7 +242,7 @@ fn test_file(folder: &Path, file: &Path, about: &About) -> Result<Recording, Str
 
 fn keep(recording: &mut Recording, kind: Kind, entry: &Entry, about: &About) -> Result<(), String> {
     let at = log_time_at(about.epoch_unix_s, entry.log_time);
-    let piece = Piece { kind, at, bytes: entry.data.clone() };
+    let piece = Piece { kind, at, bytes: entry.piece().into_owned() };
     recording.piece(topic_of(kind), piece.at, &piece.bytes).map_err(|error| chain(&error))
 }
 

@@ -90,6 +90,20 @@ impl Carried {
     }
 }
 
+/// A look at a part of the table with what was seen of the rest before.
+pub fn merged(mut seen: Observation, before: Option<&Observation>) -> Observation {
+    let Some(before) = before else { return seen };
+    for object in &before.objects {
+        let doubted = seen.suspicious.iter().any(|doubted| doubted.id == object.id);
+        if !doubted && seen.object(&object.id).is_none() {
+            seen.objects.push(object.clone());
+        }
+    }
+    let known: Vec<String> = seen.objects.iter().map(|object| object.id.clone()).collect();
+    seen.missing.retain(|id| !known.contains(id));
+    seen
+}
+
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;

@@ -92,12 +92,12 @@ impl Playback {
     pub fn take(&mut self, entry: &Entry, replay: &Replay, epoch_unix_s: f64) {
         match piece_of(&entry.channel.topic) {
             Some(Kind::Event) => {
-                if let Some((at, event)) = event_of(&entry.data) {
+                if let Some((at, event)) = event_of(&entry.piece()) {
                     self.event(at, &event, replay.machine());
                 }
             }
             Some(Kind::Effect) => {
-                if let Some(effect) = effect_of(&entry.data) {
+                if let Some(effect) = effect_of(&entry.piece()) {
                     self.held = held_by(replay.machine()).map(|(id, _)| id.to_string());
                     self.effect(replay.so_far().until, &effect);
                 }
@@ -279,7 +279,7 @@ fn page_within(title: String, files: &[PathBuf], most: u64) -> Result<String, St
                 Ok(Item::About(_)) => {}
                 Ok(Item::Message(entry)) => {
                     let kind = piece_of(&entry.channel.topic);
-                    let taken = kind.map_or(Ok(None), |kind| replay.take(kind, &entry.data));
+                    let taken = kind.map_or(Ok(None), |kind| replay.take(kind, &entry.piece()));
                     // What this celld would decide otherwise is not what was: the page ends there.
                     if taken.map_err(|error| located(error.to_string()))?.is_some() {
                         break;

@@ -28,12 +28,13 @@ use cell_values::time::{Duration, Timestamp};
 use cell_vision::camera::CameraModel;
 use drawing::Drawing;
 use foxglove::messages::log::Level;
+use nalgebra::Isometry3;
 use serde_json::{Value, json};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use tape::{Entry, Moment, Shared, Tape};
+use tape::{Entry, Hanging, Moment, Shared, Tape};
 
 /// How often joint states and the vacuum are recorded, in the cell's time.
 const JOINTS_EVERY: Duration = Duration::from_millis(40);
@@ -68,6 +69,8 @@ pub struct Recorder {
     moments: Vec<(Timestamp, Moment)>,
     /// Something was lost since the last turn: what follows needs the machine anew.
     gap: bool,
+    /// What hangs on the gripper, and how.
+    hanging: Hanging,
     last_joints: Timestamp,
     last_vacuum: Timestamp,
     last_robot: Option<Value>,
@@ -118,6 +121,7 @@ impl Recorder {
             open: None,
             moments: Vec::new(),
             gap: false,
+            hanging: None,
             last_joints: Timestamp::ZERO,
             last_vacuum: Timestamp::ZERO,
             last_robot: None,
@@ -141,10 +145,13 @@ impl Recorder {
                 let level = if notice.alarm { Level::Warning } else { Level::Info };
                 self.put(now, Entry::Log(level, notice.text.clone()));
             }
-            Scene::Displayed(Displayed::Picture { image, .. } | Displayed::Sample { image, .. }) => {
-                self.picture(now, image);
+            Scene::Displayed(Displayed::Picture { image, views }) => {
+                self.picture(now, image, views.last().map(|view| view.table_from_camera));
             }
-            Scene::Displayed(Displayed::Observed { seen, .. }) => self.put(now, Entry::Seen(seen.clone())),
+            Scene::Displayed(Displayed::Sample { image, .. }) => self.picture(now, image, None),
+            Scene::Displayed(Displayed::Observed { seen, partial }) => {
+                self.put(now, Entry::Seen(seen.clone(), *partial));
+            }
             Scene::Route(route) => self.put(now, Entry::Route(route.to_vec())),
             Scene::Robot(state) => self.robot(now, state),
             Scene::Vacuum(vacuum) if now.since(self.last_vacuum) >= VACUUM_EVERY => {
@@ -197,6 +204,11 @@ impl Recorder {
 
     /// Between two turns the machine is whole: here files begin, and gaps end.
     fn turn(&mut self, now: Timestamp, machine: &Machine) {
+        let hanging = machine.supervisor().and_then(|cell| cell.object_on_the_gripper());
+        if hanging != self.hanging.as_ref().map(|(id, grasp)| (id.as_str(), grasp.as_ref())) {
+            self.hanging = hanging.map(|(id, grasp)| (id.to_string(), grasp.cloned()));
+            self.put(now, Entry::Hanging(Box::new(self.hanging.clone())));
+        }
         if !self.moments.is_empty() {
             let moments = std::mem::take(&mut self.moments);
             self.gap |= !self.sent(now, Entry::Moments(moments));
@@ -246,7 +258,8 @@ impl Recorder {
         }
     }
 
-    fn picture(&mut self, now: Timestamp, image: &Image) {
+    /// With it, where the camera was; `None`: where it is now.
+    fn picture(&mut self, now: Timestamp, image: &Image, table_from_camera: Option<Isometry3<f64>>) {
         if self.pictures == RecordedPictures::Off {
             return;
         }
@@ -254,7 +267,7 @@ impl Recorder {
             self.dropped += 1;
         } else {
             self.shared.pictures.fetch_add(1, Ordering::Relaxed);
-            if !self.sent(now, Entry::Picture(image.clone())) {
+            if !self.sent(now, Entry::Picture(image.clone(), table_from_camera)) {
                 self.shared.pictures.fetch_sub(1, Ordering::Relaxed);
             }
         }
@@ -273,7 +286,10 @@ impl Recorder {
 }
 
 fn status_json(status: &Status) -> Value {
-    json!({"text": status.text(), "armed": status.armed, "job": status.job, "moves": status.moves, "held": status.held})
+    // Viewers want one type for a key: no job and nothing held are empty texts.
+    let or_empty = |text: &Option<String>| text.clone().unwrap_or_default();
+    let (job, held) = (or_empty(&status.job), or_empty(&status.held));
+    json!({"text": status.text(), "armed": status.armed, "job": job, "moves": status.moves, "held": held})
 }
 
 #[cfg(test)]

@@ -3,7 +3,8 @@
 //! In: messages with the daemon's timestamps. Out: a chunked, zstd-compressed file. What people look at
 //! (frames, scene, pictures, lens, joints, log) is in Foxglove's own schemas, from its published SDK; what
 //! only celld knows (states, plans) is JSON with a schema of its own; what a replay needs is in the postcard
-//! format (`cell::replay`). A chunk ends on [`Recording::flush`]: after a crash the file can be read up to
+//! format (`cell-replay`), each piece as the bytes of a protobuf message: viewers report encodings that they
+//! do not know as errors. A chunk ends on [`Recording::flush`]: after a crash the file can be read up to
 //! there, and `repair` gives it the index that it lacks.
 
 pub mod read;
@@ -12,7 +13,11 @@ pub mod repair;
 use cell_values::time::Timestamp;
 use foxglove::Encode;
 use mcap::records::{MessageHeader, Metadata};
+use prost::Message as _;
+use prost_types::field_descriptor_proto::{Label, Type};
+use prost_types::{DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet};
 use serde_json::{Value, json};
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufWriter;
@@ -137,7 +142,10 @@ impl Recording {
     /// # Errors
     /// As [`Recording::message`].
     pub fn piece(&mut self, topic: &str, at: Timestamp, bytes: &[u8]) -> Result<(), RecordingError> {
-        self.write(topic, "postcard", None, at, bytes)
+        let schema = PieceMessage::schema();
+        let schema = Some(Schema { name: PIECE, encoding: "protobuf", data: &schema });
+        let message = PieceMessage { data: bytes.to_vec() };
+        self.write(topic, "protobuf", schema, at, &message.encode_to_vec())
     }
 
     /// Closes the chunk: everything written so far can be read after a crash.
@@ -186,6 +194,47 @@ impl Recording {
         *sequence = sequence.wrapping_add(1);
         let header = MessageHeader { channel_id, sequence: *sequence, log_time, publish_time: log_time };
         self.writer.write_to_known_channel(&header, data)
+    }
+}
+
+/// Name of the schema of pieces.
+const PIECE: &str = "celld.Piece";
+
+/// A piece of a replay in its envelope.
+#[derive(Clone, PartialEq, prost::Message)]
+struct PieceMessage {
+    #[prost(bytes = "vec", tag = "1")]
+    data: Vec<u8>,
+}
+
+impl PieceMessage {
+    /// Its description, as a file of it has it.
+    fn schema() -> Vec<u8> {
+        let text = |text: &str| Some(text.to_string());
+        let data = FieldDescriptorProto {
+            name: text("data"),
+            number: Some(1),
+            label: Some(Label::Optional as i32),
+            r#type: Some(Type::Bytes as i32),
+            ..FieldDescriptorProto::default()
+        };
+        let piece = DescriptorProto { name: text("Piece"), field: vec![data], ..DescriptorProto::default() };
+        let file = FileDescriptorProto {
+            name: text("celld.proto"),
+            package: text("celld"),
+            message_type: vec![piece],
+            syntax: text("proto3"),
+            ..FileDescriptorProto::default()
+        };
+        FileDescriptorSet { file: vec![file] }.encode_to_vec()
+    }
+}
+
+/// The bytes of a piece out of a message; files of earlier celld have it without an envelope.
+fn piece_in<'a>(schema: Option<&str>, data: &'a [u8]) -> Cow<'a, [u8]> {
+    match schema {
+        Some(PIECE) => Cow::Owned(PieceMessage::decode(data).map(|piece| piece.data).unwrap_or_default()),
+        _ => Cow::Borrowed(data),
     }
 }
 

@@ -4,7 +4,7 @@
 //! last status, arm, arrangement, sentences and picture; messages to every viewer. Nothing here blocks: the
 //! loop hands over and goes on, and a viewer that does not take its messages loses them all and is dropped.
 
-use crate::daemon::carried::{Carried, CarriedView};
+use crate::daemon::carried::{Carried, CarriedView, merged};
 use crate::daemon::film::{Film, Shown};
 use crate::daemon::last_picture::LastPicture;
 use crate::daemon::messages::Displayed;
@@ -295,20 +295,6 @@ impl Feed {
             last.sentences.pop_front();
         }
     }
-}
-
-/// A look at a part of the table with what was seen of the rest before.
-fn merged(mut seen: Observation, before: Option<&Observation>) -> Observation {
-    let Some(before) = before else { return seen };
-    for object in &before.objects {
-        let doubted = seen.suspicious.iter().any(|doubted| doubted.id == object.id);
-        if !doubted && seen.object(&object.id).is_none() {
-            seen.objects.push(object.clone());
-        }
-    }
-    let known: Vec<String> = seen.objects.iter().map(|object| object.id.clone()).collect();
-    seen.missing.retain(|id| !known.contains(id));
-    seen
 }
 
 /// The loop's end of the feed.

@@ -161,7 +161,7 @@ fn recorded_runs_are_decided_the_same_for_ever() {
         for item in Items::new(std::fs::File::open(&path).unwrap()) {
             let Item::Message(entry) = item.unwrap() else { continue };
             let Some(kind) = piece_of(&entry.channel.topic) else { continue };
-            let taken = replay.take(kind, &entry.data);
+            let taken = replay.take(kind, &entry.piece());
             assert_eq!(
                 taken.unwrap_or_else(|error| panic!("{}: {error}", path.display())),
                 None,

@@ -41,7 +41,7 @@ impl Pictures {
         if kind != Some(Kind::Event) || self.last.is_none() {
             return;
         }
-        let Some((at, Event::Looked(_, Ok(views)))) = event_of(&entry.data) else { return };
+        let Some((at, Event::Looked(_, Ok(views)))) = event_of(&entry.piece()) else { return };
         if let (Some(picture), Some(view)) = (self.last.take(), views.last()) {
             self.search(at.as_secs_f64(), &picture, &view.detections);
         }

@@ -1,27 +1,35 @@
 //! What a recording shows of the cell, as Foxglove's messages.
 //!
-//! In: the cell's model and lens, observations, goals, plans, joints. Out: frames (`base`, `table`, the
-//! links, `flange`, `camera`), a scene (table, bodies, objects with outline and height, goals, plan, foreign
-//! things), the lens, joint states. Lengths in m, angles in rad; frames as in ARCHITECTURE.md. What is drawn
-//! is kept, so that each file begins with all of it. Pure.
+//! In: the cell's model and lens, observations, what hangs on the gripper, goals, plans, joints. Out: frames
+//! (`base`, `table`, the links, `flange`, `camera`, and `picture`, where the last one was taken), a scene
+//! (table, bodies, objects with outline and height, goals, plan, foreign things), the lens, joint states.
+//! Lengths in m, angles in rad; frames as in ARCHITECTURE.md. What is drawn is kept, so that each file
+//! begins with all of it. Pure.
 
+use crate::daemon::carried::{Carried, merged};
 use crate::report::colour;
 use cell_calibration::files::hand_eye::Mount;
 use cell_machine::supervisor::model::CellModel;
 use cell_machine::supervisor::order::RouteAction;
+use cell_motion::bodies::shape::Outline;
 use cell_motion::bodies::{Part, TOOL_FRAME};
+use cell_motion::put_down::Grasp;
 use cell_values::units::Joints;
 use cell_vision::camera::CameraModel;
 use cell_vision::observe::Observation;
 use foxglove::messages::line_primitive::Type as LineType;
 use foxglove::messages::{
-    ArrowPrimitive, CameraCalibration, Color, CubePrimitive, FrameTransform, FrameTransforms, JointState,
-    JointStates, LinePrimitive, Point3, Pose, Quaternion, SceneEntity, SceneEntityDeletion, SceneUpdate,
-    TextPrimitive, Timestamp, TriangleListPrimitive, Vector3,
+    ArrowPrimitive, CameraCalibration, Color, CubePrimitive, CylinderPrimitive, FrameTransform,
+    FrameTransforms, JointState, JointStates, LinePrimitive, Point3, Pose, Quaternion, SceneEntity,
+    SceneEntityDeletion, SceneUpdate, SpherePrimitive, TextPrimitive, Timestamp, TriangleListPrimitive,
+    Vector3,
 };
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
+use parry3d_f64::math::Vector;
+use parry3d_f64::transformation::try_convex_hull;
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
+use std::collections::{BTreeMap, BTreeSet};
 use ur_arm::kinematics::link_frames;
 
 /// Corners by which round outlines are drawn.
@@ -49,6 +57,13 @@ pub struct Drawing {
     cell: Option<Box<CellModel>>,
     lens: Option<CameraModel>,
     seen: Option<Observation>,
+    carried: Carried,
+    /// The arm's joints as they were last.
+    q: Option<Joints>,
+    /// What hangs on the gripper, and the table in the flange's frame when it was gripped.
+    gripped: Option<(String, Isometry3<f64>)>,
+    /// Objects that are drawn in the present file.
+    drawn: BTreeSet<String>,
     goals: Vec<(String, Pose2)>,
     route: Vec<RouteAction>,
 }
@@ -64,13 +79,13 @@ impl Drawing {
         self.cell = Some(cell);
     }
 
-    /// The lens, for the picture's topic; its frame is `camera`.
+    /// The lens, for the picture's topic; its frame is that of the picture.
     pub fn calibration(&self, now: Timestamp) -> Option<CameraCalibration> {
         let lens = self.lens.as_ref()?;
         let (fx, fy, cx, cy) = (lens.fx, lens.fy, lens.cx, lens.cy);
         Some(CameraCalibration {
             timestamp: Some(now),
-            frame_id: "camera".to_string(),
+            frame_id: "picture".to_string(),
             width: lens.width,
             height: lens.height,
             distortion_model: "plumb_bob".to_string(),
@@ -93,6 +108,24 @@ impl Drawing {
         })
     }
 
+    /// Where the last picture was taken; without a place, where the camera is now.
+    pub fn picture_frame(
+        &self,
+        now: Timestamp,
+        table_from_camera: Option<Isometry3<f64>>,
+    ) -> Option<FrameTransforms> {
+        let here = || {
+            let (cell, q) = (self.cell.as_ref()?, self.q.as_ref()?);
+            let base_from_camera = match &cell.mount {
+                Mount::Flange { flange_from_camera } => link_frames(&cell.arm.dh, q)[5] * flange_from_camera,
+                Mount::Fixed { base_from_camera } => *base_from_camera,
+            };
+            Some(cell.arm.base_from_table.inverse() * base_from_camera)
+        };
+        let at = table_from_camera.or_else(here)?;
+        Some(FrameTransforms { transforms: vec![frame(now, "table", "picture", &at)] })
+    }
+
     /// Frames of the links with the joints at `q`.
     pub fn moving_frames(&self, now: Timestamp, q: &Joints) -> Option<FrameTransforms> {
         let cell = self.cell.as_ref()?;
@@ -105,7 +138,9 @@ impl Drawing {
     }
 
     /// The table and what stands round it; links move with their frames.
-    pub fn surroundings(&self, now: Timestamp) -> Option<SceneUpdate> {
+    pub fn surroundings(&mut self, now: Timestamp) -> Option<SceneUpdate> {
+        // A new file: nothing of the one before has to be deleted in it.
+        self.drawn.clear();
         let cell = self.cell.as_ref()?;
         let (width, height) = (cell.workspace.width, cell.workspace.height);
         let table = CubePrimitive {
@@ -123,50 +158,68 @@ impl Drawing {
                 TOOL_FRAME => "flange".to_string(),
                 link => format!("link_{link}"),
             };
-            let points: Vec<Point3> =
-                outline.points.iter().map(|[x, y, z]| Point3 { x: *x, y: *y, z: *z }).collect();
-            let bone = LinePrimitive {
-                thickness: (2.0 * outline.radius).max(0.005),
-                color: Some(GREY),
-                ..line(points, LineType::LineStrip)
-            };
             let id = format!("body/{number}/{}", body.name);
-            entities.push(SceneEntity {
-                frame_locked: true,
-                lines: vec![bone],
-                ..entity(now, &in_frame, &id)
-            });
+            entities.push(SceneEntity { frame_locked: true, ..solid(&outline, entity(now, &in_frame, &id)) });
         }
         Some(SceneUpdate { entities, deletions: Vec::new() })
     }
 
-    /// The table was looked at: objects with outline, height and name, and what carries no marker.
-    pub fn observed(&mut self, now: Timestamp, seen: &Observation) -> SceneUpdate {
-        let before = self.seen.replace(seen.clone());
-        let update = self.objects(now);
-        let gone = before.iter().flat_map(|before| &before.objects);
-        let gone =
-            gone.filter(|object| seen.object(&object.id).is_none()).map(|object| object_id(&object.id));
-        let deletions = gone.map(|id| deletion(now, id)).collect();
-        SceneUpdate { deletions, ..update }
+    /// The table was looked at, or (`partial`) a part of it.
+    pub fn observed(&mut self, seen: &Observation, partial: bool) {
+        self.carried.seen(seen, partial);
+        let before = self.seen.take().filter(|_| partial);
+        self.seen = Some(merged(seen.clone(), before.as_ref()));
     }
 
-    /// What was seen last.
-    pub fn objects(&self, now: Timestamp) -> SceneUpdate {
-        let Some(seen) = &self.seen else { return SceneUpdate::default() };
-        let mut entities: Vec<SceneEntity> = seen
-            .objects
-            .iter()
-            .filter_map(|object| Some(self.block(now, &object.id, &self.looks(&object.id)?, &object.pose)))
-            .collect();
-        let strangers = seen.foreign.iter().flat_map(|report| &report.objects);
-        let outlines = strangers.map(|stranger| {
+    /// The arm's joints.
+    pub fn joints(&mut self, q: &Joints) {
+        self.q = Some(*q);
+        if let Some(cell) = &self.cell {
+            self.carried.arm(&cell.arm, q);
+        }
+    }
+
+    /// What hangs on the gripper, and how; true if that is something else than before.
+    pub fn hangs(&mut self, object: Option<(&str, Option<&Grasp>)>) -> bool {
+        let changed = self.carried.hangs(object);
+        if changed {
+            self.gripped = None;
+            if let (Some(cell), Some(q)) = (&self.cell, &self.q) {
+                self.carried.arm(&cell.arm, q);
+                let base_from_flange = link_frames(&cell.arm.dh, q)[5];
+                let flange_from_table = base_from_flange.inverse() * cell.arm.base_from_table;
+                self.gripped = self.carried.held().map(|held| (held.id.clone(), flange_from_table));
+            }
+        }
+        changed
+    }
+
+    /// All objects as far as is known, with outline, height and name: as they were seen, or where the arm
+    /// has them or put them since; and what carries no marker. What was drawn and is not known is deleted.
+    pub fn objects(&mut self, now: Timestamp) -> SceneUpdate {
+        let seen = self.seen.iter().flat_map(|seen| &seen.objects);
+        let mut poses: BTreeMap<&str, Pose2> = seen.map(|object| (object.id.as_str(), object.pose)).collect();
+        for object in self.carried.objects() {
+            // What fell, or was taken, may be anywhere.
+            match object.lost {
+                true => poses.remove(object.id.as_str()),
+                false => poses.insert(&object.id, object.pose),
+            };
+        }
+        let block = |(id, at): (&&str, &Pose2)| Some(self.block(now, id, &self.looks(id)?, at));
+        let mut entities: Vec<SceneEntity> = poses.iter().filter_map(block).collect();
+        let strangers = self.seen.iter().filter_map(|seen| seen.foreign.as_ref());
+        let outlines = strangers.flat_map(|report| &report.objects).map(|stranger| {
             let height = if stranger.height_m.is_finite() { stranger.height_m } else { UNKNOWN_HEIGHT_M };
             let corners = stranger.outline.iter().map(|[x, y]| Point3 { x: *x, y: *y, z: height });
             LinePrimitive { color: Some(RED), ..line(corners.collect(), LineType::LineLoop) }
         });
         entities.push(SceneEntity { lines: outlines.collect(), ..entity(now, "table", "foreign") });
-        SceneUpdate { entities, deletions: Vec::new() }
+        let known: BTreeSet<String> = poses.keys().map(|id| (*id).to_string()).collect();
+        let gone = self.drawn.difference(&known);
+        let deletions = gone.map(|id| deletion(now, object_id(id))).collect();
+        self.drawn = known;
+        SceneUpdate { entities, deletions }
     }
 
     /// The goals of the job; none without one.
@@ -224,6 +277,7 @@ impl Drawing {
         Some(Looks { footprint: &objects[index].footprint, height: objects[index].height, colour })
     }
 
+    /// An object on the table, or with the flange where it hangs.
     fn block(&self, now: Timestamp, id: &str, looks: &Looks, at: &Pose2) -> SceneEntity {
         let Looks { footprint, height, colour } = *looks;
         let (low, high) = (ring(footprint, at, 0.0), ring(footprint, at, height));
@@ -232,17 +286,28 @@ impl Drawing {
         let side = |i: usize| {
             [low[i], low[(i + 1) % count], high[(i + 1) % count], low[i], high[(i + 1) % count], high[i]]
         };
+        let hanging = self.gripped.as_ref().filter(|(gripped, _)| gripped == id);
+        let (in_frame, from_table) = match hanging {
+            Some((_, flange_from_table)) => ("flange", *flange_from_table),
+            None => ("table", Isometry3::identity()),
+        };
         let sides = TriangleListPrimitive {
-            pose: Some(pose(&Isometry3::identity())),
+            pose: Some(pose(&from_table)),
             points: (0..count).flat_map(side).collect(),
             color: Some(colour),
             ..TriangleListPrimitive::default()
         };
         let [x, y] = at.transform(footprint.centroid());
-        let label = text(&Isometry3::translation(x, y, height + 0.01), id.to_string());
-        let rim = LinePrimitive { color: Some(colour), ..line(high.clone(), LineType::LineLoop) };
-        let (triangles, lines, texts) = (vec![sides], vec![rim], vec![label]);
-        SceneEntity { triangles, lines, texts, ..entity(now, "table", &object_id(id)) }
+        let label = text(&(from_table * Isometry3::translation(x, y, height + 0.01)), id.to_string());
+        let rim = line(high.clone(), LineType::LineLoop);
+        let rim = LinePrimitive { color: Some(colour), pose: Some(pose(&from_table)), ..rim };
+        SceneEntity {
+            triangles: vec![sides],
+            lines: vec![rim],
+            texts: vec![label],
+            frame_locked: true,
+            ..entity(now, in_frame, &object_id(id))
+        }
     }
 }
 
@@ -251,6 +316,65 @@ struct Looks<'a> {
     footprint: &'a Footprint,
     height: f64,
     colour: Color,
+}
+
+/// Everything within a radius of some points, as one can see it: a ball, a capsule, or the convex hull of
+/// the points and of those that lie the radius beside them.
+fn solid(outline: &Outline, entity: SceneEntity) -> SceneEntity {
+    let radius = outline.radius.max(0.0025);
+    let ball = |[x, y, z]: &[f64; 3]| SpherePrimitive {
+        pose: Some(pose(&Isometry3::translation(*x, *y, *z))),
+        size: Some(Vector3 { x: 2.0 * radius, y: 2.0 * radius, z: 2.0 * radius }),
+        color: Some(GREY),
+    };
+    if outline.points.len() <= 2 {
+        let spheres = outline.points.iter().map(ball).collect();
+        let cylinders = outline.points.windows(2).map(|ends| between(&ends[0], &ends[1], radius)).collect();
+        return SceneEntity { spheres, cylinders, ..entity };
+    }
+    let beside = |[x, y, z]: &[f64; 3]| {
+        let at = |dx: f64, dy: f64, dz: f64| Vector::new(x + dx, y + dy, z + dz);
+        let r = outline.radius;
+        [
+            at(r, 0.0, 0.0),
+            at(-r, 0.0, 0.0),
+            at(0.0, r, 0.0),
+            at(0.0, -r, 0.0),
+            at(0.0, 0.0, r),
+            at(0.0, 0.0, -r),
+        ]
+    };
+    let points: Vec<Vector> = outline.points.iter().flat_map(beside).collect();
+    let Ok((corners, faces)) = try_convex_hull(&points) else {
+        // Flat, or a line: its edges show where it is.
+        let points = outline.points.iter().map(|[x, y, z]| Point3 { x: *x, y: *y, z: *z }).collect();
+        let edges = line(points, LineType::LineLoop);
+        return SceneEntity { lines: vec![LinePrimitive { color: Some(GREY), ..edges }], ..entity };
+    };
+    let corner = |index: &u32| corners.get(*index as usize).map(|at| Point3 { x: at.x, y: at.y, z: at.z });
+    let hull = TriangleListPrimitive {
+        pose: Some(pose(&Isometry3::identity())),
+        points: faces.iter().flatten().filter_map(corner).collect(),
+        color: Some(GREY),
+        ..TriangleListPrimitive::default()
+    };
+    SceneEntity { triangles: vec![hull], ..entity }
+}
+
+/// The cylinder from one point to another.
+fn between(a: &[f64; 3], b: &[f64; 3], radius: f64) -> CylinderPrimitive {
+    let [a, b] = [a, b].map(|[x, y, z]| nalgebra::Vector3::new(*x, *y, *z));
+    let along = b - a;
+    // Against the z axis any half turn will do.
+    let turn = UnitQuaternion::rotation_between(&nalgebra::Vector3::z(), &along)
+        .unwrap_or_else(|| UnitQuaternion::from_euler_angles(std::f64::consts::PI, 0.0, 0.0));
+    CylinderPrimitive {
+        pose: Some(pose(&Isometry3::from_parts(Translation3::from(0.5 * (a + b)), turn))),
+        size: Some(Vector3 { x: 2.0 * radius, y: 2.0 * radius, z: along.norm() }),
+        bottom_scale: 1.0,
+        top_scale: 1.0,
+        color: Some(GREY),
+    }
 }
 
 /// Joint positions, rad, and speeds, rad/s.

@@ -11,6 +11,7 @@ use cell_edge::clock::unix_now_s;
 use cell_machine::event::{Effect, Event};
 use cell_machine::supervisor::model::CellModel;
 use cell_machine::supervisor::order::RouteAction;
+use cell_motion::put_down::Grasp;
 use cell_replay::{Kind, Piece};
 use cell_values::image::Image;
 use cell_values::time::Timestamp;
@@ -18,6 +19,7 @@ use cell_values::units::Joints;
 use cell_vision::observe::Observation;
 use foxglove::messages::log::Level;
 use foxglove::messages::{CompressedImage, Log, Timestamp as Stamp};
+use nalgebra::Isometry3;
 use rearrange::document::chain::chain;
 use rearrange::geometry::pose::Pose2;
 use serde_json::{Value, json};
@@ -60,12 +62,16 @@ fn vacuum_properties() -> Value {
 }
 
 fn status_properties() -> Value {
-    json!({"text": text(), "armed": {"type": "boolean"}, "job": {"type": ["string", "null"]},
-        "moves": {"type": "integer"}, "held": {"type": ["string", "null"]}})
+    json!({"text": text(), "armed": {"type": "boolean"}, "job": text(), "moves": {"type": "integer"},
+        "held": text()})
 }
 
 fn plan_properties() -> Value {
-    json!({"plan": {"type": "object"}})
+    let pose = || json!({"type": "array", "items": {"type": "number"}});
+    let action = json!({"object": text(), "from": pose(), "to": pose(), "goal": {"type": "boolean"}});
+    let action = json!({"type": "object", "title": "celld.Action", "properties": action});
+    let actions = json!({"actions": {"type": "array", "items": action}});
+    json!({"plan": {"type": "object", "title": "celld.Actions", "properties": actions}})
 }
 
 /// Where a replay's pieces of a kind are in a recording.
@@ -81,6 +87,21 @@ pub fn topic_of(kind: Kind) -> &'static str {
 pub fn piece_of(topic: &str) -> Option<Kind> {
     [Kind::Machine, Kind::Event, Kind::Effect].into_iter().find(|kind| topic_of(*kind) == topic)
 }
+
+/// A topic for each part of the scene, and each message of it complete: a viewer that goes to another time
+/// has the last message of every topic and nothing before.
+const CELL: &str = "/scene/cell";
+const OBJECTS: &str = "/scene/objects";
+const GOALS: &str = "/scene/goals";
+const ROUTE: &str = "/scene/plan";
+
+/// The same for frames: those that stay, the arm's, and where the last picture was taken.
+const FIXED_FRAMES: &str = "/tf_static";
+const FRAMES: &str = "/tf";
+const PICTURE_FRAME: &str = "/tf_picture";
+
+/// What hangs on the gripper, and how as far as that is known.
+pub(super) type Hanging = Option<(String, Option<Grasp>)>;
 
 /// What the machine took in or gave out.
 pub(super) enum Moment {
@@ -102,8 +123,11 @@ pub(super) enum Entry {
     Stitch(Piece),
     Moments(Vec<(Timestamp, Moment)>),
     Log(Level, String),
-    Picture(Image),
-    Seen(Box<Observation>),
+    /// With it, where the camera was; `None`: where it is now.
+    Picture(Image, Option<Isometry3<f64>>),
+    /// What a look shows, and whether it was of a part of the table.
+    Seen(Box<Observation>, bool),
+    Hanging(Box<Hanging>),
     Goals(Vec<(String, Pose2)>),
     Route(Vec<RouteAction>),
     Joints(Joints, [f64; 6]),
@@ -179,7 +203,7 @@ impl Tape {
     }
 
     pub fn take(&mut self, now: Timestamp, entry: Entry) {
-        let is_picture = matches!(entry, Entry::Picture(_));
+        let is_picture = matches!(entry, Entry::Picture(..));
         match entry {
             Entry::Open { segment, unix_s, cell, machine } => {
                 if let Some(cell) = cell {
@@ -195,25 +219,31 @@ impl Tape {
             Entry::Goals(goals) => {
                 self.drawing.goals(goals);
                 self.with_file(|recording, drawing| {
-                    let scene = drawing.goal_lines(stamp(recording, now));
-                    recording.message("/scene", now, &scene)
+                    recording.message(GOALS, now, &drawing.goal_lines(stamp(recording, now)))
                 });
             }
             Entry::Route(route) => {
                 let plan = json!({ "plan": {"actions": steps(&route)} });
                 self.drawing.route(route);
                 self.with_file(|recording, drawing| {
-                    let arrows = drawing.route_arrows(stamp(recording, now));
-                    recording.message("/scene", now, &arrows)?;
+                    recording.message(ROUTE, now, &drawing.route_arrows(stamp(recording, now)))?;
                     recording.json(&PLAN, now, plan)
                 });
             }
-            Entry::Seen(seen) => {
-                let time = self.file.as_ref().map(|(_, recording)| stamp(recording, now)).unwrap_or_default();
-                let scene = self.drawing.observed(time, &seen);
-                self.with_file(|recording, _| recording.message("/scene", now, &scene));
+            Entry::Seen(seen, partial) => {
+                self.drawing.observed(&seen, partial);
+                self.draw_objects(now);
+            }
+            Entry::Hanging(hanging) => {
+                let known = hanging.as_ref().as_ref().map(|(id, grasp)| (id.as_str(), grasp.as_ref()));
+                if self.drawing.hangs(known) {
+                    self.draw_objects(now);
+                }
             }
             entry => {
+                if let Entry::Joints(q, _) = &entry {
+                    self.drawing.joints(q);
+                }
                 let pictures = self.pictures;
                 self.with_file(|recording, drawing| plain(recording, drawing, pictures, now, entry));
             }
@@ -221,6 +251,14 @@ impl Tape {
         if is_picture {
             self.shared.pictures.fetch_sub(1, Ordering::Relaxed);
         }
+    }
+
+    /// The objects as far as is known; what is gone is deleted.
+    fn draw_objects(&mut self, now: Timestamp) {
+        let Some((_, recording)) = &mut self.file else { return };
+        let scene = self.drawing.objects(stamp(recording, now));
+        let written = recording.message(OBJECTS, now, &scene);
+        self.written(written);
     }
 
     /// Everything that a viewer needs although it was said before this file began.
@@ -231,14 +269,14 @@ impl Tape {
             recording.message("/camera/calibration", now, &lens)?;
         }
         if let Some(frames) = self.drawing.fixed_frames(time) {
-            recording.message("/tf", now, &frames)?;
+            recording.message(FIXED_FRAMES, now, &frames)?;
         }
-        let around = self.drawing.surroundings(time).into_iter();
-        let scenes =
-            [self.drawing.objects(time), self.drawing.goal_lines(time), self.drawing.route_arrows(time)];
-        for scene in around.chain(scenes) {
-            recording.message("/scene", now, &scene)?;
+        if let Some(around) = self.drawing.surroundings(time) {
+            recording.message(CELL, now, &around)?;
         }
+        recording.message(OBJECTS, now, &self.drawing.objects(time))?;
+        recording.message(GOALS, now, &self.drawing.goal_lines(time))?;
+        recording.message(ROUTE, now, &self.drawing.route_arrows(time))?;
         machine.map_or(Ok(()), |piece| recording.piece(topic_of(piece.kind), piece.at, &piece.bytes))
     }
 
@@ -346,7 +384,7 @@ fn plain(
             let log = Log { timestamp: Some(time), level, message, name, ..Log::default() };
             recording.message("/log", now, &log)
         }
-        Entry::Picture(image) => {
+        Entry::Picture(image, table_from_camera) => {
             let (format, encoded) = match pictures {
                 RecordedPictures::Off => return Ok(()),
                 RecordedPictures::Jpeg => ("jpeg", image.encode_jpeg(JPEG_QUALITY)),
@@ -354,7 +392,10 @@ fn plain(
             };
             // As for pieces.
             let Ok(data) = encoded else { return Ok(()) };
-            let (frame_id, format) = ("camera".to_string(), format.to_string());
+            if let Some(frame) = drawing.picture_frame(time, table_from_camera) {
+                recording.message(PICTURE_FRAME, now, &frame)?;
+            }
+            let (frame_id, format) = ("picture".to_string(), format.to_string());
             let data = data.into();
             recording.message(
                 "/camera/image",
@@ -365,12 +406,14 @@ fn plain(
         Entry::Joints(q, qd) => {
             recording.message("/robot/joint_states", now, &joint_states(time, &q, &qd))?;
             let frames = drawing.moving_frames(time, &q);
-            frames.map_or(Ok(()), |frames| recording.message("/tf", now, &frames))
+            frames.map_or(Ok(()), |frames| recording.message(FRAMES, now, &frames))
         }
         Entry::Robot(state) => recording.json(&ROBOT, now, state),
         Entry::Vacuum([a, b]) => recording.json(&VACUUM, now, json!({"a": a, "b": b})),
         Entry::Status(status) => recording.json(&STATUS, now, status),
-        Entry::Open { .. } | Entry::Goals(_) | Entry::Route(_) | Entry::Seen(_) => Ok(()),
+        Entry::Open { .. } | Entry::Goals(_) | Entry::Route(_) | Entry::Seen(..) | Entry::Hanging(_) => {
+            Ok(())
+        }
     }
 }
 

@@ -3,12 +3,25 @@
 use super::*;
 use crate::config::load::load_cell;
 use crate::config::sessions::machine_parameters;
+use crate::config::setup::{cell_objects, nominal_model};
+use crate::daemon::carried::tests::estimate;
 use crate::io::recording::read::{Entry as Read, Item, Items};
+use cell_machine::event::Arm;
 use cell_machine::machine::Machine;
 use cell_machine::supervisor::input::Notice;
+use cell_machine::supervisor::model::CellModel;
+use cell_motion::bodies::Load;
+use cell_motion::put_down::Grasp;
 use cell_replay::Replay;
+use cell_values::units::Joints;
+use cell_vision::observe::Observation;
+use foxglove::messages::SceneEntity;
+use rearrange::geometry::footprint::Footprint;
+use rearrange::geometry::pose::Pose2;
+use std::f64::consts::FRAC_PI_2;
 use std::fs::File;
 use std::path::PathBuf;
+use ur_arm::kinematics::DhParameters;
 
 /// Waits for a condition of the writing thread.
 fn until(what: &str, mut holds: impl FnMut() -> bool) {
@@ -76,7 +89,7 @@ fn a_run_in_a_file_is_decided_the_same_again() {
     let mut replay = Replay::default();
     for entry in messages(&path) {
         if let Some(kind) = piece_of(&entry.channel.topic) {
-            assert_eq!(replay.take(kind, &entry.data).unwrap(), None);
+            assert_eq!(replay.take(kind, &entry.piece()).unwrap(), None);
         }
     }
     let so_far = replay.so_far();
@@ -193,4 +206,69 @@ fn a_broken_recording_is_made_whole_at_the_next_start() {
             as usize,
         messages(&path).len()
     );
+}
+
+/// A cell as it is drawn, with the arm's tool straight down over the table.
+fn drawn_cell() -> Drawing {
+    let config = load_cell(&Path::new(env!("CARGO_MANIFEST_DIR")).join("config/cell.yaml")).unwrap();
+    let arm = Arm { dh: DhParameters::UR5E, checksum: String::new(), serial: String::new() };
+    let lens = CameraModel {
+        serial: String::new(),
+        fx: 640.0,
+        fy: 640.0,
+        cx: 640.0,
+        cy: 360.0,
+        width: 1280,
+        height: 720,
+        distortion: [0.0; 5],
+    };
+    let model = nominal_model(&config, &arm, &lens);
+    let mut drawing = Drawing::new(Some(lens));
+    drawing.cell(Box::new(CellModel { objects: cell_objects(&config).unwrap(), ..model }));
+    drawing.joints(&Joints([0.0, -FRAC_PI_2, FRAC_PI_2, -FRAC_PI_2, -FRAC_PI_2, 0.0]));
+    drawing
+}
+
+/// A viewer that goes to another time has the last message of a topic and nothing before it.
+#[test]
+fn every_message_of_the_objects_has_all_of_them_where_they_are() {
+    let mut drawing = drawn_cell();
+    let mut now_drawn = move |change: &dyn Fn(&mut Drawing)| {
+        change(&mut drawing);
+        let scene = drawing.objects(foxglove::messages::Timestamp::default());
+        let named = |id: &str| id.strip_prefix("object/").map(str::to_string);
+        let drawn = scene.entities.iter().filter_map(|one| Some((named(&one.id)?, one.frame_id.clone())));
+        let gone: Vec<_> = scene.deletions.iter().filter_map(|one| named(&one.id)).collect();
+        (drawn.collect::<Vec<_>>(), gone)
+    };
+    let on = |frame: &str, id: &str| (id.to_string(), frame.to_string());
+    let look = |ids: &[&str]| Observation {
+        objects: ids.iter().map(|id| estimate(id, 0.1)).collect(),
+        ..Observation::default()
+    };
+    let both = (vec![on("table", "lid"), on("table", "plank-1")], vec![]);
+    assert_eq!(now_drawn(&|drawing| drawing.observed(&look(&["lid", "plank-1"]), false)), both);
+    let part = now_drawn(&|drawing| drawing.observed(&look(&["plank-1"]), true));
+    assert_eq!(part, both, "a look at a part of the table");
+    let footprint = Footprint::disc(0.04).unwrap();
+    let load = Load { name: "lid".into(), footprint, tool_from_object: Pose2::default(), height: 0.02 };
+    let grasp = Grasp::remembered(load, 1.0);
+    let held = now_drawn(&|drawing| assert!(drawing.hangs(Some(("lid", Some(&grasp))))));
+    assert_eq!(held, (vec![on("flange", "lid"), on("table", "plank-1")], vec![]));
+    let fell = now_drawn(&|drawing| assert!(drawing.hangs(None)));
+    assert_eq!(fell, (vec![on("table", "plank-1")], vec!["lid".to_string()]), "let go high over the table");
+    let whole = now_drawn(&|drawing| drawing.observed(&look(&["lid"]), false));
+    assert_eq!(whole, (vec![on("table", "lid")], vec!["plank-1".to_string()]));
+}
+
+#[test]
+fn every_body_of_the_cell_is_drawn_as_a_solid() {
+    let scene = drawn_cell().surroundings(foxglove::messages::Timestamp::default()).unwrap();
+    let solid = |one: &SceneEntity| {
+        one.cubes.len() + one.cylinders.len() + one.triangles.iter().filter(|t| t.points.len() >= 12).count()
+    };
+    assert!(scene.entities.len() > 8, "table, arm, tool, stand");
+    for entity in &scene.entities {
+        assert_eq!(solid(entity), 1, "{}", entity.id);
+    }
 }

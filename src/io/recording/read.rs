@@ -4,6 +4,7 @@
 //! written, or why it cannot be read on. Nothing but the present chunk is kept in memory; lengths are
 //! bounded, since a file may be anything.
 
+use crate::io::recording::piece_in;
 use mcap::read::ChannelAccumulator;
 use mcap::records::{Metadata, Record};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -26,6 +27,13 @@ pub struct Entry {
     pub sequence: u32,
     /// The message.
     pub data: Vec<u8>,
+}
+
+impl Entry {
+    /// Its bytes, where it is a piece of a replay.
+    pub fn piece(&self) -> Cow<'_, [u8]> {
+        piece_in(self.channel.schema.as_ref().map(|schema| schema.name.as_str()), &self.data)
+    }
 }
 
 /// One thing that a recording holds.
