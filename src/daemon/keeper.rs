@@ -80,6 +80,8 @@ pub struct StateKeeper {
     disk: Disk,
     /// When the history was brought within its limits last.
     pruned: Option<Timestamp>,
+    /// The file that was refused last.
+    refused: Option<status::RefusedFile>,
     /// Whoever is given each status that is written.
     publish: Publish,
     /// What the cell's part in a fleet has to say in it.
@@ -141,6 +143,7 @@ impl StateKeeper {
             disk,
             pruned: None,
             publish: Box::new(|_| {}),
+            refused: None,
             remarks: status::Remarks::default(),
             shared: None,
         })
@@ -424,6 +427,8 @@ impl Keeper for StateKeeper {
                 SpoolEvent::Claimed { id, name } => tracing::info!(job = id, name, "job accepted"),
                 SpoolEvent::Rejected { name, code, message: why, reason } => {
                     tracing::warn!(name, %code, why, reason = %reason.display(), "job rejected");
+                    let (code, unix_s) = (code.to_string(), unix_now_s());
+                    self.refused = Some(status::RefusedFile { name, code, message: why, unix_s });
                 }
                 SpoolEvent::Cancel { id } if self.is_active(&id) => cancelled.push(id),
                 SpoolEvent::Cancel { id } => match self.end_waiting(&id) {
@@ -557,6 +562,19 @@ mod tests {
             let written = status::Status::read(&state.status()).unwrap().expect("a status");
             assert_eq!(written.state, word, "{doing:?}");
         }
+    }
+
+    #[test]
+    fn a_file_that_is_refused_is_in_the_status() {
+        let (_folder, state, mut keeper) = with_a_job();
+        let file = state.root().join("jobs/incoming/wrong.yaml");
+        std::fs::write(file, "version: 1\ngoal: {objects: [{id: nothing, pose: [0, 0, 0]}]}\n").unwrap();
+        (0..20).for_each(|turn| _ = keeper.look_after(Timestamp::from_secs_f64(f64::from(turn))));
+        keeper.status(&Status::idle());
+        let written = status::Status::read(&state.status()).unwrap().expect("a status");
+        let refused = written.refused.clone().expect("refused");
+        assert!(refused.name == "wrong.yaml" && refused.message.contains("nothing"), "{refused:?}");
+        assert!(written.text().contains("wrong.yaml was refused ("), "{}", written.text());
     }
 
     #[test]

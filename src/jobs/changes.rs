@@ -3,7 +3,7 @@
 //! In: the status before and now. Out: sentences, the most important first; none where nothing that a person
 //! follows has changed. Pure.
 
-use crate::jobs::status::{DeviceStatus, Status, Stopped};
+use crate::jobs::status::{DeviceStatus, RefusedFile, Status, Stopped};
 
 /// The lines that are new in `now`.
 pub fn changes(before: &Status, now: &Status) -> Vec<String> {
@@ -51,6 +51,8 @@ pub fn changes(before: &Status, now: &Status) -> Vec<String> {
     if (now.waiting, now.unread) != (before.waiting, before.unread) {
         lines.push(format!("{} jobs wait, {} files are not read yet", now.waiting, now.unread));
     }
+    let refused = now.refused.as_ref().filter(|_| now.refused != before.refused);
+    lines.extend(refused.map(RefusedFile::text));
     lines.extend(devices(before, now));
     if now.hint != before.hint && !now.hint.is_empty() {
         lines.push(format!("to do: {}", now.hint));
@@ -71,6 +73,19 @@ fn devices(before: &Status, now: &Status) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_refused_file_is_said_once() {
+        let idle = Status { state: "idle".into(), message: "idle".into(), ..Status::default() };
+        let file =
+            RefusedFile { name: "a.yaml".into(), code: "bad".into(), message: "no goal".into(), unix_s: 1.0 };
+        let refused = Status { refused: Some(file), ..idle.clone() };
+        assert_eq!(
+            changes(&idle, &refused),
+            ["a.yaml was refused (bad): no goal; `celld why a.yaml` has all of it"]
+        );
+        assert_eq!(changes(&refused, &refused), Vec::<String>::new());
+    }
 
     #[test]
     fn only_what_changes_is_said() {

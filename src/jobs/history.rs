@@ -142,8 +142,8 @@ fn reached(intent: &StepIntent, phase: StepPhase) -> String {
         StepPhase::Done => format!("moved to {to}"),
         StepPhase::Intent => format!("was to be moved to {to}: begun, how far is not known"),
         StepPhase::Gripped => format!("was gripped, on its way to {to}"),
-        // By a way back or by hand it may have been let go anywhere.
-        StepPhase::Released => format!("was let go; it was meant for {to}"),
+        // By a way back or by hand it may have been let go anywhere, and may have fallen before.
+        StepPhase::Released => format!("was off the gripper; it was meant for {to}"),
         StepPhase::Abandoned => format!("was to be moved to {to}; given up"),
     }
 }
@@ -294,7 +294,7 @@ mod tests {
         2026-11-21T08:00:20Z  1. mug was gripped, on its way to its goal
         2026-11-21T08:00:25Z  2. mug was gripped, on its way to its goal
         2026-11-21T08:00:30Z  failed after 29.0 s (s: travel 12.0)
-        2026-11-21T08:00:40Z  2. mug was let go; it was meant for its goal
+        2026-11-21T08:00:40Z  2. mug was off the gripper; it was meant for its goal
 
           mug: not seen since it was gripped
         ");

@@ -70,6 +70,9 @@ pub struct Status {
     /// Files in `incoming` that have not been read yet: a full queue, or they are still being written.
     #[serde(default)]
     pub unread: u32,
+    /// The file that was refused last since the start.
+    #[serde(default)]
+    pub refused: Option<RefusedFile>,
     /// Robot, gripper, camera and what each is doing.
     pub devices: Vec<DeviceStatus>,
     /// What is wrong with the cell's part in its fleet, a sentence each.
@@ -77,8 +80,32 @@ pub struct Status {
     pub fleet: Vec<String>,
 }
 
+/// How long a refused file is news, s.
+const REFUSED_FOR_S: f64 = 600.0;
+
 /// What another thread has to say in the status, as it is now.
 pub type Remarks = Arc<Mutex<Vec<String>>>;
+
+/// A file that is no job.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct RefusedFile {
+    /// Its name.
+    pub name: String,
+    /// For programs: why.
+    pub code: String,
+    /// The first complaint.
+    pub message: String,
+    /// When it was refused, s since 1970.
+    pub unix_s: f64,
+}
+
+impl RefusedFile {
+    /// One line for people.
+    pub fn text(&self) -> String {
+        let RefusedFile { name, code, message, .. } = self;
+        format!("{name} was refused ({code}): {message}; `celld why {name}` has all of it")
+    }
+}
 
 /// A stop that is still to be left.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -174,6 +201,9 @@ impl Status {
         let at = utc::text(self.written_unix_s);
         let (state, mode, message) = (&self.state, self.mode(), &self.message);
         let mut lines = vec![format!("its last status, of {at}: {state} ({mode}): {message}")];
+        if !self.armed && !self.moving {
+            lines.push("  the arm was at rest".to_string());
+        }
         if let Some(Stopped { code, message, .. }) = &self.stopped {
             lines.push(format!("  stopped: {message} ({code})"));
         }
@@ -223,6 +253,8 @@ impl Status {
             files => format!(", {files} in incoming not read yet"),
         };
         lines.push(format!("  {} waiting{unread}", self.waiting));
+        let lately = |refused: &&RefusedFile| self.written_unix_s - refused.unix_s < REFUSED_FOR_S;
+        lines.extend(self.refused.as_ref().filter(lately).map(|refused| format!("  {}", refused.text())));
         for device in &self.devices {
             lines.push(format!("  {}", device.text()));
         }
@@ -336,6 +368,7 @@ mod tests {
         };
         insta::assert_snapshot!(status.last_words(), @r"
         its last status, of 2026-11-21T08:00:00Z: idle (disarmed): ending
+          the arm was at rest
           stopped: the operator stopped the cell (aborted)
           gripper: holds lid
         ");

@@ -192,6 +192,13 @@ def carry_out(window):
     page.locator("#scrub").dispatch_event("input")
     window.text("output", "after move 1")
     window.picture("live-approval")
+    for where in [".t-label, .t-number", ".p-text"]:
+        hidden = page.evaluate("""(where) => {
+            const boxes = [...document.querySelectorAll(where)].map((text) => [text.textContent, text.getBoundingClientRect()]);
+            const meet = ([, a], [, b]) => a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 1 && b.top < a.bottom - 1;
+            return [boxes.length, boxes.flatMap((a, i) => boxes.slice(i + 1).filter((b) => meet(a, b)).map((b) => `${a[0]} and ${b[0]}`))];
+        }""", where)
+        check(f"no label hides another: {where}", hidden[0] > 3 and not hidden[1], str(hidden))
     window.sound("the cell, while a plan waits")
     page.click("#order-pause")
     window.text("#answer", "paus")

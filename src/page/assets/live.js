@@ -20,6 +20,19 @@ function live(title, kinds, draw, attributes = {}) {
   return { element, stop: () => stops.forEach((stop) => stop()) };
 }
 
+/** The job file that was refused last, for a while. */
+const REFUSED_FOR_S = 600;
+
+function refusedFile({ refused, written_unix_s: written }) {
+  return refused && written - refused.unix_s < REFUSED_FOR_S && h("p", { class: "note wrong", id: "refused" }, h("time", {}, time(refused.unix_s)), " ", t("{name} was refused:", { name: refused.name }), " ", here(refused.message));
+}
+
+/** What came of the last job or order. */
+function happened() {
+  const last = state.sentences.at(-1);
+  return last && h("p", { class: "soft", id: "last" }, t("Last:"), " ", h("time", {}, time(last.unix_s)), " ", here(last.text));
+}
+
 function now() {
   const status = state.status;
   if (!status) return h("p", { class: "say" }, t("celld is starting"));
@@ -43,6 +56,8 @@ function now() {
     status.stopped && !status.armed && h("p", { class: "note wrong", id: "stopped" }, h("strong", {}, here(status.stopped.message)), h("br"), status.stopped.hint === status.hint ? "" : here(status.stopped.hint)),
     status.job && h("div", {}, h("p", {}, h("strong", {}, t("Job {job}", { job: status.job })), all ? `: ${t("{made} of {all} moves", { made, all })}` : "", left === null ? "" : made < all ? `, ${t("about {time} left, then a last look", { time: duration(left) })}` : `, ${t("a last look at the table")}`),
       all ? h("progress", { value: made, max: all, "aria-label": t("Progress of the job") }) : null),
+    refusedFile(status),
+    !status.job && happened(),
     h("p", { class: "soft" }, status.job ? t("{count} more jobs wait", { count: status.waiting }) : t("{count} jobs wait", { count: status.waiting }), status.unread ? `, ${t("{count} files are not read yet", { count: status.unread })}` : ""),
   ];
 }
@@ -153,7 +168,7 @@ function trends() {
 }
 
 export function livePage(main) {
-  const parts = [live(t("Now"), ["status", "stale"], now), orders(), tableCard(), picture(), arm3d(),
+  const parts = [live(t("Now"), ["status", "stale", "sentences"], now), orders(), tableCard(), picture(), arm3d(),
     live(t("Moves"), ["status"], moves), live(t("Devices"), ["status", "arm", "vacuum"], devices), trends(),
     live(t("What happened"), ["sentences"], log)];
   fill(main, h("div", { class: "grid" }, parts.map(({ element }) => element)));

@@ -2,7 +2,7 @@
 
 import { h, fill } from "./dom.js";
 import { api, connect, on, reload, state } from "./net.js";
-import { load, t } from "./text.js";
+import { here, load, t } from "./text.js";
 import { livePage } from "./live.js";
 import { goalPage } from "./goal.js";
 import { jobsPage } from "./jobs.js";
@@ -43,8 +43,17 @@ async function pressed() {
   said.textContent = t("Stop is sent …");
   const { accepted, message } = await stop();
   said.className = accepted ? "note" : "note wrong";
-  said.textContent = `${t("Stop")}: ${message}`;
+  said.textContent = `${t("Stop")}: ${here(message)}${accepted ? "" : `. ${t("If the arm moves, press the red button at the cell.")}`}`;
   setTimeout(() => { said.hidden = true; }, accepted ? 8000 : 60000);
+}
+
+/** Whether the arm may move, on every screen and wherever it is scrolled to. */
+function drawMode() {
+  const badge = document.getElementById("bar-mode");
+  if (!badge || !state.status) return;
+  const { armed, paused, moving, stopped } = state.status;
+  badge.className = `badge ${armed || moving ? "warn" : "good"}`;
+  badge.textContent = [armed ? t("ARMED") : moving ? t("MAY STILL MOVE") : t("disarmed"), paused && t("paused"), stopped && !armed && t("stopped")].filter(Boolean).join(", ");
 }
 
 function drawBar() {
@@ -53,11 +62,13 @@ function drawBar() {
   fill(bar,
     h("h1", {}, h("img", { src: "/icon.svg", alt: "", width: 28, height: 28 }), h("span", { class: "name" }, state.cell.name), state.cell.simulated && h("span", { class: "simulated" }, `(${t("simulated")})`)),
     h("nav", { "aria-label": t("Screens") }, Object.entries(screens).map(([name, [title]]) => h("a", { href: "#" + name, "aria-current": name === shown ? "page" : null }, t(title)))),
+    h("span", { id: "bar-mode" }),
     h("span", { class: "fill" }),
     h("span", { class: "who" }, `${state.me.name}, ${t(state.me.role)}`),
     h("div", { class: "stop" }, h("button", { type: "button", class: "halt", id: "stop", click: pressed }, t("Stop")), h("small", {}, t("stops and disarms; no emergency stop"))),
     h("p", { id: "stopping", role: "alert", hidden: true }),
     h("p", { id: "stale", role: "alert", hidden: !state.stale }, t("No connection to celld: what is shown is old. Only Stop, Disarm, Pause and Abort are sent.")));
+  drawMode();
 }
 
 function show() {
@@ -85,6 +96,7 @@ async function start() {
     if (location.hash.startsWith("#ticket=")) { await redeem(); location.reload(); return; }
     show();
   });
+  on("status", drawMode);
   on("stale", () => {
     document.getElementById("stale").hidden = !state.stale;
     document.body.classList.toggle("stale", state.stale);

@@ -123,6 +123,9 @@ function approval(status) {
     h("button", { type: "button", id: "order-reject", disabled, click: () => give(t("Reject"), { do: "reject", id: waiting }) }, t("Reject"))));
 }
 
+/** How the cell's own words for a way back begin. */
+const WAY_BACK = "on a way back";
+
 let before = {};
 
 /** A stop that was refused is over once the cell is known to rest, or was armed again. What an order began is
@@ -130,7 +133,8 @@ let before = {};
 function settled() {
   const { status, stale } = state;
   const began = latest.querySelector("#answer.over");
-  if (began && status && ((status.stopped && !before.stopped) || (before.job && status.job !== before.job))) began.remove();
+  const wayBack = before.message?.startsWith(WAY_BACK) && !status?.message.startsWith(WAY_BACK);
+  if (began && status && ((status.stopped && !before.stopped) || (before.job && status.job !== before.job) || wayBack)) began.remove();
   before = status ?? before;
   if (!stale && status && (status.armed || !status.moving)) refused.replaceChildren();
 }

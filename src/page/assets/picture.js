@@ -5,6 +5,10 @@ import { h, s, card, fill } from "./dom.js";
 import { api, on, state, colour } from "./net.js";
 import { t, time } from "./text.js";
 import { film } from "./film.js";
+import { spread } from "./table.js";
+
+/** Of the letters, in pixels of the picture: as in the style sheet. */
+const TEXT_PX = 24;
 
 const line = (points) => "M" + points.map(([x, y]) => `${x} ${y}`).join("L") + "Z";
 
@@ -31,7 +35,6 @@ export function picture() {
   const draw = (view) => {
     over.setAttribute("viewBox", `0 0 ${view.width} ${view.height}`);
     const middle = (points) => points.reduce(([a, b], [x, y]) => [a + x / points.length, b + y / points.length], [0, 0]);
-    const text = ([x, y], words) => s("text", { class: "p-text", x, y }, String(words));
     const coloured = (kind) => ({ id, outline }) => {
       const drawn = s("path", { class: kind, d: line(outline) });
       drawn.style.stroke = colour(id);
@@ -42,11 +45,13 @@ export function picture() {
       const p = (d, r) => [(x1 + r * Math.cos(a + d)).toFixed(1), (y1 + r * Math.sin(a + d)).toFixed(1)];
       return s("path", { class: "p-head", d: line([[x1, y1], p(2.7, 26), p(-2.7, 26)]) });
     };
+    const texts = [...view.moves.map(({ number, from, to }) => ({ text: number, at: [from[0] + 0.3 * (to[0] - from[0]), from[1] + 0.3 * (to[1] - from[1])] })),
+      ...view.objects.map(({ id, outline }) => ({ text: id, at: middle(outline) }))];
+    const places = spread(texts, TEXT_PX);
     fill(over, view.foreign.map((outline) => s("path", { class: "p-foreign", d: line(outline) })),
       view.goals.map(coloured("p-goal")), view.objects.map(coloured("p-object")),
-      view.objects.map(({ id, outline }) => text(middle(outline), id)),
       view.moves.map(({ from, to }) => [s("path", { class: "p-under", d: `M${from}L${to}` }), s("path", { class: "p-move", d: `M${from}L${to}` }), head(from, to)]),
-      view.moves.map(({ number, from, to }) => text([from[0] + 0.3 * (to[0] - from[0]), from[1] + 0.3 * (to[1] - from[1])], number)));
+      texts.map(({ text }, index) => s("text", { class: "p-text", x: places[index][0], y: places[index][1] }, String(text))));
   };
   const update = async () => {
     if (!state.picture) return;

@@ -94,20 +94,26 @@ export function foreign(corners) {
   return s("path", { class: "t-foreign", d: path(corners, [0, 0, 0], state.cell.table[1]) }, s("title", {}, "no marker"));
 }
 
-/** Labels that do not lie over one another: each takes the first free place round where it belongs. */
-export function labels(list, size = 13) {
+/** Where texts are drawn that belong to places, in the units of the drawing: each takes the first free place
+    round its own, so that none hides another. */
+export function spread(list, size) {
   const taken = [];
-  const height = state.cell.table[1];
-  return s("g", {}, list.map(({ text, at: [x, y], kind }) => {
+  return list.map(({ text, at: [u, v] }) => {
     const half = [0.31 * size * String(text).length + 2, size * 0.62];
-    const [u, v] = [x * 1000, (height - y) * 1000];
     const shifts = [[0, 0]];
     for (let ring = 1; ring < 6; ring++) for (const [dx, dy] of [[0, -1], [0, 1], [1, 0], [-1, 0], [0.8, -0.8], [-0.8, 0.8]]) shifts.push([dx * ring * size, dy * ring * size]);
     const free = ([dx, dy]) => taken.every(([a, b, w, h]) => Math.abs(a - u - dx) > w + half[0] || Math.abs(b - v - dy) > h + half[1]);
     const [dx, dy] = shifts.find(free) ?? [0, 0];
     taken.push([u + dx, v + dy, ...half]);
-    return s("text", { class: kind === "number" ? "t-number" : "t-label", x: (u + dx).toFixed(1), y: (v + dy).toFixed(1) }, String(text));
-  }));
+    return [u + dx, v + dy];
+  });
+}
+
+/** Labels on the table. */
+export function labels(list, size = 13) {
+  const height = state.cell.table[1];
+  const places = spread(list.map(({ text, at: [x, y] }) => ({ text, at: [x * 1000, (height - y) * 1000] })), size);
+  return s("g", {}, list.map(({ text, kind }, index) => s("text", { class: kind === "number" ? "t-number" : "t-label", x: places[index][0].toFixed(1), y: places[index][1].toFixed(1) }, String(text))));
 }
 
 /** Arrows with numbers; the numbers keep apart with the labels. */

@@ -36,13 +36,13 @@ export function t(text, values = {}) {
   return found;
 }
 
-const BUTTONS = { status: "Now", submit: "Set a goal", jobs: "Jobs", why: "Jobs", calibrate: "Calibrate", cancel: "Cancel the job", arm: "Arm", disarm: "Disarm", pause: "Pause", resume: "Resume", step: "One step", abort: "Abort", park: "Park", approve: "Approve", reject: "Reject", recover: "Leave the stop", release: "Release the vacuum" };
+const BUTTONS = { status: "Now", submit: "Set a goal", jobs: "Jobs", why: "Jobs", calibrate: "Calibrate", cancel: "Cancel the job", arm: "Arm", disarm: "Disarm", pause: "Pause", resume: "Resume", step: "One step", abort: "Abort", park: "Park", approve: "Approve", reject: "Reject", recover: "What happened?", release: "Release the vacuum" };
 const WAYS = { place: "Put it down", hold: "Keep holding", retreat: "Straight up", release: "Let go (hold it by hand)" };
 
 /** A sentence of the cell with the names of this page's buttons in the place of the commands that do the same. */
 export function here(text) {
   return text
-    .replace(/`?celld recover --(place|hold|retreat|release)`?/g, (_, way) => `“${t(WAYS[way])}”`)
+    .replace(/`?(?:celld recover )?--(place|hold|retreat|release)\b`?/g, (_, way) => `“${t(WAYS[way])}”`)
     .replace(/`celld ([a-z]+)[^`]*`/g, (whole, word) => (BUTTONS[word] ? `“${t(BUTTONS[word])}”` : whole));
 }
 
