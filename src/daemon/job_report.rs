@@ -5,7 +5,7 @@
 
 use crate::config::cell::CellConfig;
 use crate::daemon::plan_files;
-use crate::jobs::history::{how_far, story_lines};
+use crate::jobs::history::{how_far_at, story_lines};
 use crate::jobs::record::{GoalPose, JobRecord, JobState, StepKind, StepPhase, StepRecord};
 use crate::jobs::utc;
 use crate::report::plan_animation::FILM_CAPTION;
@@ -42,7 +42,7 @@ pub fn job_report(
             tolerance_deg: cell.tolerances.goal_angle_rad.to_degrees(),
             ..Figures::default()
         },
-        moves: moves(steps, job.started_unix_s),
+        moves: moves(steps, job.started_unix_s, job.ended_unix_s),
         objects: result.map(objects).unwrap_or_default(),
         pictures: folder.map(pictures).unwrap_or_default(),
         drawings: drawings(job, cell),
@@ -62,7 +62,7 @@ fn objects(result: &crate::jobs::record::JobResult) -> Vec<ObjectRow> {
 }
 
 /// One row a pick-n-place.
-fn moves(steps: &[StepRecord], started_unix_s: Option<f64>) -> Vec<MoveRow> {
+fn moves(steps: &[StepRecord], started_unix_s: Option<f64>, ended_unix_s: Option<f64>) -> Vec<MoveRow> {
     let mut before = started_unix_s;
     let row = |(number, step): (usize, &StepRecord)| {
         let done = step.phase == StepPhase::Done;
@@ -74,7 +74,7 @@ fn moves(steps: &[StepRecord], started_unix_s: Option<f64>) -> Vec<MoveRow> {
             buffer: intent.kind == StepKind::Buffer,
             from: intent.from,
             to: intent.to,
-            unfinished: (!done).then(|| how_far(step)),
+            unfinished: (!done).then(|| how_far_at(step, ended_unix_s)),
             anew: step.phase == StepPhase::Abandoned
                 && steps.iter().skip(number + 1).any(|later| later.intent.object == intent.object),
             seconds,
@@ -86,7 +86,10 @@ fn moves(steps: &[StepRecord], started_unix_s: Option<f64>) -> Vec<MoveRow> {
 
 /// The pictures that the daemon has left in the job's folder.
 fn pictures(folder: &Path) -> Vec<Picture> {
-    let named = [("plan.jpg", "When the plan was made"), ("end.jpg", "The last picture of the job")];
+    let named = [
+        ("plan.jpg", "When the plan was made; its time is in its lower left corner"),
+        ("end.jpg", "The last picture of the job; its time is in its lower left corner"),
+    ];
     let read = |(name, caption): (&str, &str)| {
         let bytes = std::fs::read(folder.join(name)).ok()?;
         Some(Picture { caption: caption.to_string(), media_type: "image/jpeg", bytes })
@@ -122,7 +125,11 @@ fn drawings(job: &JobRecord, cell: &CellConfig) -> Vec<Drawing> {
     });
     let film = job.plan.as_ref().filter(|plan| !plan.steps.is_empty()).and_then(|plan| {
         let svg = plan_files::film(plan, cell, "The same, one move after the other")?;
-        Some(Drawing { svg, caption: FILM_CAPTION.to_string() })
+        let caption = match job.state == JobState::Ended(JobStatus::Done) {
+            true => FILM_CAPTION.to_string(),
+            false => format!("As planned, whatever was carried out of it. {FILM_CAPTION}"),
+        };
+        Some(Drawing { svg, caption })
     });
     let table = Drawing { caption: title.to_string(), svg: table_svg(&table) };
     std::iter::once(table).chain(plan).chain(film).collect()
@@ -179,7 +186,7 @@ mod tests {
             step(3, "lid", StepPhase::Done),
             step(4, "box", StepPhase::Abandoned),
         ];
-        let rows = moves(&steps, Some(0.0));
+        let rows = moves(&steps, Some(0.0), None);
         let drawn: Vec<_> = rows.iter().map(|row| (row.object.as_str(), row.seconds, row.anew)).collect();
         let expected = [
             ("lid", None, true),

@@ -123,6 +123,10 @@ impl Playback {
         if let (true, Some(model)) = (self.run.objects.is_empty(), model) {
             self.cell(model);
         }
+        // A recording begins with the machine, and the first status may be long in coming.
+        if let (true, Some(cell)) = (self.run.states.is_empty(), machine.and_then(Machine::supervisor)) {
+            self.status(seconds, &cell.status());
+        }
         if let Event::Observed(_, Ok(seen)) = event {
             self.seen(seconds, seen);
         }
@@ -175,6 +179,7 @@ impl Playback {
         let state = RecordedState {
             text: status.text(),
             armed: status.armed,
+            moving: status.moving,
             job: status.job.clone(),
             moves: status.moves,
             held: status.held.clone(),

@@ -129,8 +129,21 @@ fn head(job: &JobRecord, is_last: bool) -> String {
 }
 
 /// How far the object of a step came.
-pub fn how_far(StepRecord { intent, phase, .. }: &StepRecord) -> String {
+fn how_far(StepRecord { intent, phase, .. }: &StepRecord) -> String {
     reached(intent, *phase)
+}
+
+/// How far it had come when its job ended: what is taken off the cups afterwards is no part of the job.
+pub fn how_far_at(step: &StepRecord, ended_unix_s: Option<f64>) -> String {
+    let later = ended_unix_s.is_some_and(|ended| step.changed_unix_s > ended);
+    match step.phase {
+        StepPhase::Released if later => reached(&step.intent, StepPhase::Gripped),
+        StepPhase::Released
+        | StepPhase::Intent
+        | StepPhase::Gripped
+        | StepPhase::Done
+        | StepPhase::Abandoned => how_far(step),
+    }
 }
 
 fn reached(intent: &StepIntent, phase: StepPhase) -> String {
@@ -280,6 +293,8 @@ mod tests {
             ..JobRecord::sample("tidy")
         };
         let steps = [gripped(pose), let_go(pose)];
+        let row = how_far_at(&steps[1], job.ended_unix_s);
+        assert_eq!(row, "was gripped, on its way to its goal", "when its job ended");
         let old = story(&job, &steps, false);
         assert!(old.contains("\nwhat was to be done: see where it lies\n"), "{old}");
         insta::assert_snapshot!(story(&job, &steps, true), @r"

@@ -109,6 +109,16 @@ pub fn asset(path: &str, headers: &HeaderMap) -> Response {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::{BTreeMap, BTreeSet};
+
+    fn file(name: &str) -> &'static str {
+        let (.., plain) = FILES.iter().find(|(path, ..)| *path == name).expect("a file");
+        std::str::from_utf8(plain).expect("text")
+    }
+
+    fn german() -> BTreeMap<String, String> {
+        serde_json::from_str(file("text-de.json")).expect("a table")
+    }
 
     /// Everything that a file of the page names is there, and nothing is fetched from elsewhere.
     #[test]
@@ -137,12 +147,7 @@ mod tests {
     /// Every text of the scripts is in the table of the other language.
     #[test]
     fn no_text_is_left_in_english() {
-        let file = |name: &str| {
-            let (.., plain) = FILES.iter().find(|(path, ..)| *path == name).expect("a file");
-            std::str::from_utf8(plain).expect("text")
-        };
-        let german: std::collections::BTreeMap<String, String> =
-            serde_json::from_str(file("text-de.json")).expect("a table");
+        let german = german();
         let scripts = FILES.iter().filter(|(path, kind, _)| *kind == SCRIPT && !path.starts_with("vendor/"));
         let mut count = 0;
         for (path, ..) in scripts {
@@ -159,6 +164,34 @@ mod tests {
         assert!(count > 100, "{count}");
         for (english, german) in &german {
             let holes = |text: &str| text.matches('{').count();
+            assert_eq!(holes(english), holes(german), "{english}: what is filled in");
+        }
+    }
+
+    /// What the pages say that the cell answers, and what an operator reads after a fault, phrase by phrase.
+    #[test]
+    fn what_the_cell_says_is_there_in_german() {
+        let german = german();
+        let cells = |line: &'static str| line.trim_matches('|').split('|').map(str::trim).collect::<Vec<_>>();
+        let orders = include_str!("../../docs/orders.md").lines().map(cells);
+        let answers = orders.filter(|row| matches!(row.get(1), Some(&"yes" | &"no"))).map(|row| row[2]);
+        let reactions = include_str!("../../docs/reactions.md").lines().map(cells);
+        let faults =
+            reactions.filter(|row| row.len() >= 9 && row[0].starts_with(|c: char| c.is_ascii_digit()));
+        let sentences = answers.chain(faults.flat_map(|row| [row[6], row[7]]));
+        let phrases = sentences.flat_map(|text| text.split("; ").flat_map(|part| part.split(": ")));
+        let phrases: BTreeSet<&str> = phrases.flat_map(|part| part.split(", then ")).collect();
+        // A person names jobs as he likes.
+        let known = |phrase: &str| {
+            german.contains_key(phrase)
+                || phrase.is_empty()
+                || phrase.contains("job-#")
+                || phrase.contains("job none")
+        };
+        let missing: Vec<_> = phrases.iter().filter(|phrase| !known(phrase)).collect();
+        assert!(missing.is_empty() && phrases.len() > 200, "{missing:#?}");
+        for (english, german) in &german {
+            let holes = |text: &str| (text.matches('#').count(), text.matches("OBJECT").count());
             assert_eq!(holes(english), holes(german), "{english}: what is filled in");
         }
     }

@@ -124,7 +124,8 @@ function draw() {
   const state = last(run.states, now)?.[1];
   drawn.replaceChildren(table(now, state));
   flank.replaceChildren(side(now));
-  const lines = [h("div", {}, h("span", { class: state?.armed ? "armed" : "soft" }, state?.armed ? "armed" : "disarmed"), `; ${state?.text ?? "nothing is known yet"}`),
+  const mode = !state ? "nothing is known yet" : state.armed ? "armed" : state.moving ? "disarmed, THE ARM MAY STILL MOVE" : "disarmed";
+  const lines = [h("div", {}, h("span", { class: state?.armed || state?.moving ? "armed" : "soft" }, mode), state ? `; ${state.text}` : ""),
     h("div", {}, state?.job ? `job ${state.job}, ${state.moves} moves made` : "no job"),
     state?.held ? h("div", {}, `gripper: ${state.held}`) : null,
     state?.stopped ? h("div", { class: "wrong" }, `stopped: ${state.stopped}`) : null,

@@ -76,6 +76,8 @@ pub struct RecordedState {
     pub text: String,
     /// The arm may move.
     pub armed: bool,
+    /// It moves, or may, whatever `armed` says: what was under way is finished.
+    pub moving: bool,
     /// The job under way.
     pub job: Option<String>,
     /// Pick-n-places made.

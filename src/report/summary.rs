@@ -18,22 +18,21 @@ pub fn summary(report: &RunReport) -> String {
     parts.join("\n\n")
 }
 
-/// Labels and values of the figures, in the order people look for them.
+/// Labels and values of the figures that are known, in the order people look for them.
 pub fn figures(figures: &Figures) -> Vec<(String, String)> {
     let count = |value: usize| value.to_string();
-    [
-        ("objects", count(figures.objects)),
-        ("moves", count(figures.moves)),
-        ("of them to buffers", count(figures.buffers)),
-        ("lower bound", or_dash(figures.lower_bound, plain_number)),
-        ("plans made", or_dash(figures.plans, count)),
-        ("looks taken", or_dash(figures.looks, count)),
-        ("planning time", or_dash(figures.planning_s, seconds)),
-        ("cycle time", or_dash(figures.cycle_s, seconds)),
-        ("time per move", or_dash(figures.per_move_s(), seconds)),
-    ]
-    .map(|(label, value)| (label.to_owned(), value))
-    .into()
+    let rows = [
+        ("objects", Some(count(figures.objects))),
+        ("moves", Some(count(figures.moves))),
+        ("of them to buffers", Some(count(figures.buffers))),
+        ("lower bound", figures.lower_bound.map(plain_number)),
+        ("plans made", figures.plans.map(count)),
+        ("looks taken", figures.looks.map(count)),
+        ("planning time", figures.planning_s.map(seconds)),
+        ("cycle time", figures.cycle_s.map(seconds)),
+        ("time per move", figures.per_move_s().map(seconds)),
+    ];
+    rows.into_iter().filter_map(|(label, value)| Some((label.to_owned(), value?))).collect()
 }
 
 fn object_table(objects: &[ObjectRow]) -> String {

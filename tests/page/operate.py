@@ -275,6 +275,7 @@ def stop_with_an_object(window, cell):
     expect(page.locator("#holding")).to_have_count(0)
     expect(page.locator("#carried")).to_have_count(0)
     check("and where it was put, until it is seen there", page.locator(".t-unseen").count() == 1)
+    window.text("#bar-mode", "disarmed")
     window.screen("goal")
     check("also where a goal is set", page.locator(".t-unseen").count() == 1)
     window.screen("live")
@@ -405,6 +406,10 @@ def all_sizes(browser, cell):
                 if name != "wall":
                     window.sound(f"{screen}, {name}, {scheme}, {locale}")
             if scheme == "dark":
+                window.screen("live")
+                window.page.wait_for_selector("#message", timeout=LONG)
+                said = window.page.locator("#message").inner_text()
+                check("the cell's own words are German", said in ("ruht", "angehalten"), said)
                 check("German is spoken", "Befehle" in window.page.evaluate("() => fetch('/text-de.json').then((a) => a.text())") and window.page.locator("nav").inner_text().startswith("Jetzt"))
             window.context.close()
 

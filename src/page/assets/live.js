@@ -44,7 +44,7 @@ function now() {
       // What is under way is finished: until then the arm moves in a cell that is disarmed or paused.
       h("span", { class: `badge ${status.armed || status.moving ? "warn" : "good"}`, id: "armed" }, status.armed ? t("ARMED: the arm may move") : status.moving ? t("disarmed, THE ARM MAY STILL MOVE") : t("disarmed")), " ",
       status.paused && h("span", { class: "badge warn", id: "paused" }, status.moving ? t("pausing, THE ARM MAY STILL MOVE") : t("paused")), " ",
-      status.holding && h("span", { class: "badge warn", id: "holding" }, t("in the gripper"), ": ", status.holding)),
+      status.holding && h("span", { class: "badge warn", id: "holding" }, t("in the gripper"), ": ", here(status.holding))),
     h("p", { class: "say", id: "message", role: "status" }, status.stopped && !status.armed && status.message === "idle" ? t("stopped") : here(status.message)),
     status.hint && h("p", { class: "hint", id: "hint" }, "→ ", here(status.hint)),
     !status.hint && status.holding && !status.armed && !status.moving && h("p", { class: "hint" }, "→ ", t("Something hangs, or may hang, on the gripper: the ways back are below the orders.")),

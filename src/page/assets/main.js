@@ -2,7 +2,7 @@
 
 import { h, fill } from "./dom.js";
 import { api, connect, on, reload, state } from "./net.js";
-import { here, load, t } from "./text.js";
+import { here, know, load, t } from "./text.js";
 import { livePage } from "./live.js";
 import { goalPage } from "./goal.js";
 import { jobsPage } from "./jobs.js";
@@ -90,6 +90,7 @@ async function start() {
   } catch (error) {
     return gate(message ?? (error.status === 401 ? null : error.message));
   }
+  know(state.cell.objects.map(({ id }) => id));
   connect();
   show();
   window.addEventListener("hashchange", async () => {

@@ -1,6 +1,6 @@
 // Texts in the language of the browser, or the one chosen: English is in the scripts, others in one table
-// each, built in or from the configuration's files. What the cell itself says (status, reasons) stays in its
-// own words.
+// each, built in or from the configuration's files. What the cell itself says (status, reasons, hints) is
+// translated phrase by phrase, as far as the table has it.
 
 let table = {};
 let shown = "en";
@@ -26,6 +26,8 @@ export async function load() {
       if (answer.ok) [table, shown] = [await answer.json(), wanted];
     } catch { /* English, then */ }
   }
+  const unsigned = (text) => text.replaceAll("-#", "#");
+  phrases = new Map(Object.entries(table).map(([key, text]) => [unsigned(key), unsigned(text)]));
   document.documentElement.lang = shown;
 }
 
@@ -39,9 +41,38 @@ export function t(text, values = {}) {
 const BUTTONS = { status: "Now", submit: "Set a goal", jobs: "Jobs", why: "Jobs", calibrate: "Calibrate", cancel: "Cancel the job", arm: "Arm", disarm: "Disarm", pause: "Pause", resume: "Resume", step: "One step", abort: "Abort", park: "Park", approve: "Approve", reject: "Reject", recover: "What happened?", release: "Release the vacuum" };
 const WAYS = { place: "Put it down", hold: "Keep holding", retreat: "Straight up", release: "Let go (hold it by hand)" };
 
-/** A sentence of the cell with the names of this page's buttons in the place of the commands that do the same. */
+/** The table for the cell's own phrases: the sign of a number is part of it. */
+let phrases = new Map();
+
+/** Names of objects, the longest first: they stand for themselves in what the cell says. */
+let names = [];
+
+export function know(ids) {
+  names = [...ids].sort((a, b) => b.length - a.length);
+}
+
+/** One phrase of the cell: in the table numbers are `#` and objects `OBJECT`, in the same order. */
+function phrase(text) {
+  const escaped = names.map((name) => name.replace(/[.*+?^${}()|[\]\\]/g, "\\$&"));
+  const named = escaped.length ? `(?<![\\w-])(?:${escaped.join("|")})(?![\\w-])|` : "";
+  const found = { "#": [], OBJECT: [] };
+  const key = text.replace(new RegExp(`${named}(?:(?<!\\w)-)?\\d+(?:\\.\\d+)*`, "g"), (part) => {
+    const hole = names.includes(part) ? "OBJECT" : "#";
+    found[hole].push(part);
+    return hole;
+  });
+  return phrases.get(key)?.replace(/#|OBJECT/g, (hole) => found[hole].shift() ?? hole) ?? text;
+}
+
+/** A sentence of the cell in the chosen language. */
+function said(text) {
+  if (shown === "en") return text;
+  return text.split(/(; |: |, then |\n)/).map((part, index) => (index % 2 ? table[part] ?? part : phrase(part))).join("");
+}
+
+/** A sentence of the cell, with the names of this page's buttons in the place of the commands that do the same. */
 export function here(text) {
-  return text
+  return said(text ?? "")
     .replace(/`?(?:celld recover )?--(place|hold|retreat|release)\b`?/g, (_, way) => `“${t(WAYS[way])}”`)
     .replace(/`celld ([a-z]+)[^`]*`/g, (whole, word) => (BUTTONS[word] ? `“${t(BUTTONS[word])}”` : whole));
 }
