@@ -100,7 +100,6 @@ mod tests {
         lower bound              3
         plans made               1
         looks taken              2
-        planning time            -
         cycle time          31.0 s
         time per move       10.3 s
 
