@@ -82,7 +82,7 @@ fn show(
         let unix_s = unix_now_s();
         match (screen.status(), &now) {
             (Some(before), Some(now)) => {
-                let lines = news(state, before, now);
+                let lines: Vec<_> = news(state, before, now).collect();
                 lines.iter().for_each(|change| screen.note(unix_s, change));
             }
             (Some(before), None) => {
@@ -131,7 +131,7 @@ fn lines(state: &StateFolder, stop: &Arc<AtomicBool>) -> u8 {
             (Ok(None), None) => {}
             (Ok(Some(now)), before) => {
                 match before {
-                    Some(before) if !news(state, before, &now).iter().all(|change| line(change)) => return 0,
+                    Some(before) if !news(state, before, &now).all(|change| line(&change)) => return 0,
                     Some(_) => {}
                     None => _ = line(&now.text()),
                 }
@@ -143,40 +143,35 @@ fn lines(state: &StateFolder, stop: &Arc<AtomicBool>) -> u8 {
     0
 }
 
-/// What has changed, and how a job that is over has ended.
-fn news(state: &StateFolder, before: &Status, now: &Status) -> Vec<String> {
-    let mut lines = changes(before, now);
-    let over = before.job.as_ref().filter(|_| before.job != now.job);
-    lines.extend(over.and_then(|job| outcome(state, job)));
-    lines
+/// What has changed, and behind it how a job that is over has ended, which may have to be waited for.
+fn news<'a>(state: &'a StateFolder, before: &'a Status, now: &'a Status) -> impl Iterator<Item = String> {
+    let over = before.job.as_deref().filter(|_| before.job != now.job);
+    let ended = std::iter::once_with(move || over.and_then(|job| outcome(state, job))).flatten();
+    changes(before, now).into_iter().chain(ended)
 }
 
 /// What the daemon wrote last, and that it has ended.
 fn ending(state: &StateFolder, before: &Status) -> Vec<String> {
     let written = Status::read(&state.status()).ok().flatten();
     let last = written.filter(|last| last.daemon == before.daemon).unwrap_or_else(|| before.clone());
-    let mut lines = news(state, before, &last);
-    lines.push(match last.armed || last.moving {
-        true => format!("the daemon has ended; its last status says: {}", last.mode()),
-        false => "the daemon has ended; the arm was at rest".to_string(),
+    let mut lines: Vec<_> = news(state, before, &last).collect();
+    lines.push(match last.rests() {
+        true => "the daemon has ended; the arm was at rest".to_string(),
+        false => format!("the daemon has ended; its last status says: {}, {}", last.state, last.mode()),
     });
     lines
 }
 
 /// How a job ended, as soon as the journal has it: the status may be a little ahead of it.
 fn outcome(state: &StateFolder, job: &str) -> Option<String> {
-    let result = || Journal::open_to_read(&state.journal()).ok()?.job(job).ok()??.result;
-    let tries = std::iter::repeat_with(result).take(OUTCOME_TRIES);
-    let result = tries
-        .inspect(|found| {
-            if found.is_none() {
-                std::thread::sleep(EVERY)
-            }
-        })
-        .flatten()
-        .next()?;
-    let JobResult { status, message, moves, seconds, .. } = result;
-    Some(format!("job {job}: {status}, {message} ({moves} moves, {seconds:.0} s)"))
+    for _ in 0..OUTCOME_TRIES {
+        let ended = Journal::open_to_read(&state.journal()).and_then(|journal| journal.job(job));
+        if let Some(JobResult { status, message, moves, seconds, .. }) = ended.ok()??.result {
+            return Some(format!("job {job}: {status}, {message} ({moves} moves, {seconds:.0} s)"));
+        }
+        std::thread::sleep(EVERY);
+    }
+    None
 }
 
 /// False when there is no reader any more.
@@ -187,14 +182,20 @@ fn line(text: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::jobs::status::STARTING;
 
     #[test]
     fn what_a_daemon_wrote_last_is_read_although_it_has_ended() {
         let folder = tempfile::tempdir().expect("a folder");
         let state = StateFolder::new(folder.path());
-        let stopping = Status { daemon: "celld-1".into(), moving: true, ..Status::default() };
+        let idle = Status { daemon: "celld-1".into(), state: "idle".into(), ..Status::default() };
+        let starting = Status { state: STARTING.into(), ..idle.clone() };
+        let unknown = "the daemon has ended; its last status says: starting, disarmed";
+        assert_eq!(ending(&state, &starting), [unknown], "nothing is known of the arm yet");
+        let stopping = Status { moving: true, ..idle };
         let cut_off = ending(&state, &stopping);
-        assert_eq!(cut_off, ["the daemon has ended; its last status says: disarmed, THE ARM MAY STILL MOVE"]);
+        let moves = "the daemon has ended; its last status says: idle, disarmed, THE ARM MAY STILL MOVE";
+        assert_eq!(cut_off, [moves]);
         let rests = Status { moving: false, ..stopping.clone() };
         rests.write(&state.status()).expect("written");
         assert_eq!(

@@ -206,8 +206,10 @@ impl Recorder {
     fn turn(&mut self, now: Timestamp, machine: &Machine) {
         let hanging = machine.supervisor().and_then(|cell| cell.object_on_the_gripper());
         if hanging != self.hanging.as_ref().map(|(id, grasp)| (id.as_str(), grasp.as_ref())) {
-            self.hanging = hanging.map(|(id, grasp)| (id.to_string(), grasp.cloned()));
-            self.put(now, Entry::Hanging(Box::new(self.hanging.clone())));
+            let hanging = hanging.map(|(id, grasp)| (id.to_string(), grasp.cloned()));
+            if self.sent(now, Entry::Hanging(Box::new(hanging.clone()))) {
+                self.hanging = hanging;
+            }
         }
         if !self.moments.is_empty() {
             let moments = std::mem::take(&mut self.moments);

@@ -22,6 +22,7 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 
 /// Why the recording could not be written. The run itself does not depend on it.
 #[derive(Debug, thiserror::Error)]
@@ -142,8 +143,8 @@ impl Recording {
     /// # Errors
     /// As [`Recording::message`].
     pub fn piece(&mut self, topic: &str, at: Timestamp, bytes: &[u8]) -> Result<(), RecordingError> {
-        let schema = PieceMessage::schema();
-        let schema = Some(Schema { name: PIECE, encoding: "protobuf", data: &schema });
+        static SCHEMA: LazyLock<Vec<u8>> = LazyLock::new(PieceMessage::schema);
+        let schema = Some(Schema { name: PIECE, encoding: "protobuf", data: &SCHEMA });
         let message = PieceMessage { data: bytes.to_vec() };
         self.write(topic, "protobuf", schema, at, &message.encode_to_vec())
     }
@@ -261,4 +262,17 @@ fn schema_text(topic: &JsonTopic) -> String {
     properties["timestamp"] = json!({"type": "object", "title": "time", "properties": {
         "sec": {"type": "integer", "minimum": 0}, "nsec": {"type": "integer", "minimum": 0, "maximum": 999_999_999}}});
     json!({"title": topic.schema, "type": "object", "properties": properties}).to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_piece_is_read_with_and_without_its_envelope() {
+        let enveloped = PieceMessage { data: vec![1, 2, 3] }.encode_to_vec();
+        assert_eq!(*piece_in(Some(PIECE), &enveloped), [1, 2, 3]);
+        assert_eq!(*piece_in(None, &[1, 2, 3]), [1, 2, 3], "of an earlier celld");
+        assert_eq!(*piece_in(Some(PIECE), &[0x0a, 9, 1]), [0; 0], "damaged");
+    }
 }

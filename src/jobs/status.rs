@@ -196,12 +196,17 @@ impl Status {
         format!("{armed}{paused}{moves}")
     }
 
+    /// The arm is known to rest, and no order lets it move. Of a daemon that starts nothing is known.
+    pub fn rests(&self) -> bool {
+        !self.armed && !self.moving && self.state != STARTING
+    }
+
     /// What is left of it once no daemon runs any more: nothing of this is of now.
     pub fn last_words(&self) -> String {
         let at = utc::text(self.written_unix_s);
         let (state, mode, message) = (&self.state, self.mode(), &self.message);
         let mut lines = vec![format!("its last status, of {at}: {state} ({mode}): {message}")];
-        if !self.armed && !self.moving {
+        if self.rests() {
             lines.push("  the arm was at rest".to_string());
         }
         if let Some(Stopped { code, message, .. }) = &self.stopped {

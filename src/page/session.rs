@@ -19,6 +19,7 @@ use cell_edge::peer::user_of;
 use cell_machine::orders::{Order, Reply};
 use serde::Deserialize;
 use serde_json::json;
+use std::net::IpAddr;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
@@ -62,20 +63,24 @@ pub async fn sign_in(
             tracing::info!(%peer, "page: signed in");
             (cookie(&app, &session, SESSION_S), Json(json!({ "signed_in": true }))).into_response()
         }
-        Ok(refused @ (Redeemed::Void | Redeemed::OfAnotherUser)) => {
-            app.limits().refused(&peer.to_string(), Instant::now());
-            tracing::warn!(%peer, ?user, ?refused, "page refused: a ticket that does not count");
-            let message = match refused {
-                Redeemed::OfAnotherUser => {
-                    "this link is for the browser of who ran `celld open`; `celld open --print` gives one for \
-                     another browser"
-                }
-                _ => "this link was used already or is too old; `celld open` gives another one",
-            };
-            refusal(StatusCode::UNAUTHORIZED, message)
+        Ok(Redeemed::Void) => {
+            let why = "this link was used already or is too old; `celld open` gives another one";
+            no_sign_in(&app, peer, why)
+        }
+        Ok(Redeemed::OfAnotherUser) => {
+            let why = "this link is for the browser of who ran `celld open`; `celld open --print` gives one for \
+                       another browser";
+            no_sign_in(&app, peer, why)
         }
         Err(error) => refusal(StatusCode::INTERNAL_SERVER_ERROR, format!("no random numbers: {error}")),
     }
+}
+
+/// A ticket that does not count.
+fn no_sign_in(app: &App, peer: IpAddr, why: &str) -> Response {
+    app.limits().refused(&peer.to_string(), Instant::now());
+    tracing::warn!(%peer, "page refused: {why}");
+    refusal(StatusCode::UNAUTHORIZED, why)
 }
 
 /// Ends the session.

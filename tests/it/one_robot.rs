@@ -62,7 +62,7 @@ fn cell_second_daemon_on_one_robot_names_the_first_and_leaves_it_alone() {
         assert!(eventually(|| seen().contains(change)), "{change:?} is not in\n{}", seen());
     }
     drop(first);
-    let killed = "the daemon has ended; its last status says: armed";
+    let killed = "the daemon has ended; its last status says: idle, armed";
     wait_until("who watches sees its end", || watched(folder.path()).contains(killed));
     // The cell of the second is complete once the registers are free: it takes orders then.
     wait_until("the second takes over once the first is gone", || {

@@ -38,7 +38,7 @@ export function t(text, values = {}) {
   return found;
 }
 
-const BUTTONS = { status: "Now", submit: "Set a goal", jobs: "Jobs", why: "Jobs", calibrate: "Calibrate", cancel: "Cancel the job", arm: "Arm", disarm: "Disarm", pause: "Pause", resume: "Resume", step: "One step", abort: "Abort", park: "Park", approve: "Approve", reject: "Reject", recover: "What happened?", release: "Release the vacuum" };
+const BUTTONS = { status: "Now", submit: "Set a goal", jobs: "Jobs", why: "Jobs", cancel: "Cancel the job", arm: "Arm", disarm: "Disarm", pause: "Pause", resume: "Resume", step: "One step", abort: "Abort", park: "Park", approve: "Approve", reject: "Reject", recover: "What happened?", release: "Release the vacuum" };
 const WAYS = { place: "Put it down", hold: "Keep holding", retreat: "Straight up", release: "Let go (hold it by hand)" };
 
 /** The table for the cell's own phrases: the sign of a number is part of it. */

@@ -84,9 +84,9 @@ impl Supervisor {
     /// What the arm does once the robot runs celld's program.
     fn once_it_runs(&self) -> String {
         match (self.job.is_some(), self.mode.paused()) {
+            (_, true) => "; then a pause is in force, `celld resume` ends it".to_string(),
             (true, false) => format!(", then the arm moves to look at the table{}", self.after_the_look()),
-            (true, true) => "; then a pause is in force, `celld resume` ends it".to_string(),
-            (false, _) => ", then the arm moves as soon as there is a job".to_string(),
+            (false, false) => ", then the arm moves as soon as there is a job".to_string(),
         }
     }
 

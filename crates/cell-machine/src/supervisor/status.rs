@@ -307,7 +307,9 @@ impl Supervisor {
             Phase::Ready => match (self.locked(), stopped, &self.waiting_for) {
                 (Some(closed), ..) => closed.hint().to_string(),
                 (None, Some(stop), _) => self.stop_hint(stop),
-                (None, None, Some(GateClosed::Disarmed)) if self.back.held.is_some() || self.back.grips => {
+                (None, None, Some(GateClosed::Disarmed))
+                    if self.holding_words().is_some() || self.back.grips =>
+                {
                     "something may hang on the gripper: `celld recover` shows the ways back, then `celld arm`"
                         .to_string()
                 }

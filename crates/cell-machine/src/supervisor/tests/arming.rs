@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::orders::WayBack;
+use crate::supervisor::back::Held;
 
 /// What is missing, and a word of the answer that names it.
 type Missing = (&'static str, fn(&mut Bench));
@@ -108,6 +109,26 @@ fn the_answer_says_what_the_arm_does_next() {
     let then =
         "then the arm moves to look at the table, then it carries out what is planned: no approval is needed";
     assert_eq!(reply.message, format!("armed: celld starts its program on the robot now, {then}"));
+    let mut bench = Bench::new();
+    bench.robot.robot_mode = RobotMode::PowerOff;
+    bench.feed(order(Order::Pause));
+    let reply = answer(&bench.feed(order(Order::Arm))).expect("an answer");
+    assert!(reply.message.contains("brakes now; then a pause is in force"), "no job moves it: {reply:?}");
+}
+
+/// What was put down may hang on the cups until a look, but it does not keep the cell from arming.
+#[test]
+fn only_what_may_hang_on_the_gripper_comes_before_arming() {
+    for (let_go, hint) in [(true, "`celld arm` once the cell is clear"), (false, "`celld recover` shows")] {
+        let mut bench = Bench::new();
+        bench.job(true);
+        let (object, to) = ("b".to_string(), Pose2::default());
+        let held = Held { object, grasp: None, height: 0.02, mass: 0.1, hold: 1.0, to, let_go };
+        bench.cell.back.held = Some(held);
+        bench.ticks(1);
+        let status = bench.cell.status();
+        assert!(status.hint.contains(hint), "{let_go}: {}", status.hint);
+    }
 }
 
 #[test]
