@@ -6,6 +6,7 @@
 use crate::jobs::record::PlanRecord;
 use crate::jobs::utc;
 use cell_edge::files::{FileError, read_regular, write_whole};
+use cell_machine::orders::WayBack;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -46,6 +47,9 @@ pub struct Status {
     /// The stop that is still to be left.
     #[serde(default)]
     pub stopped: Option<Stopped>,
+    /// The ways back that may be taken now; none where there is nothing to leave.
+    #[serde(default)]
+    pub ways: Vec<WayBack>,
     /// Why no job is begun although none is active.
     #[serde(default)]
     pub blocked: Option<String>,

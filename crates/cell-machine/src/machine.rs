@@ -451,11 +451,11 @@ impl Machine {
         let Machine { robot, gripper, connections, .. } = self;
         let sessions = Sessions { robot, gripper, connections };
         let seen = snapshot(now, &sessions, self.gripper_answers);
-        let status = supervisor.status();
+        let status = supervisor.status_with(&seen);
         // The last status is written as soon as the arm rests.
         let long = if supervisor.mode().ending() { Duration::ZERO } else { RESTS_AFTER };
         let moving = self.notified.moves(now, &seen, long) || status.moving;
-        let status = Status { devices: supervisor.device_notes(&seen), moving, ..status };
+        let status = Status { moving, ..status };
         if self.notified.status.as_ref() != Some(&status) {
             self.effects.push_back(Effect::Notify(News::Status(status.clone())));
             self.notified.status = Some(status);

@@ -103,11 +103,12 @@ function button(label, command, enabled, attributes = {}) {
 }
 
 function ways(status) {
-  const way = (how, label, possible = true) => hold(label, () => give(label, { do: "recover", how }), { id: "recover-" + how, disabled: state.stale || !may("operate") || !possible });
+  // What may be taken now says the cell; “What happened?” names what is in the way of the others.
+  const way = (how, label) => hold(label, () => give(label, { do: "recover", how }), { id: "recover-" + how, disabled: state.stale || !may("operate") || !status.ways.includes(how) });
   return h("div", {}, h("h3", {}, t("Leave the stop")),
     h("div", { class: "row" },
       h("button", { type: "button", id: "recover-show", disabled: state.stale || !may("operate"), click: () => give(t("Leave the stop"), { do: "recover", how: "show" }) }, t("What happened?")),
-      way("place", t("Put it down"), Boolean(status.holding)), way("hold", t("Keep holding")), way("retreat", t("Straight up")), way("release", t("Let go (hold it by hand)"))),
+      way("place", t("Put it down")), way("hold", t("Keep holding")), way("retreat", t("Straight up")), way("release", t("Let go (hold it by hand)"))),
     h("p", { class: "soft" }, t("A way back is held down for a second. Each is your word that the cell is safe; afterwards it is disarmed.")));
 }
 
@@ -146,7 +147,7 @@ export function orders() {
   const draw = () => {
     const status = state.status;
     if (!status) return;
-    const key = JSON.stringify([status.armed, status.paused, status.job, status.state, status.stopped, status.awaiting_approval, status.plan?.unix_s, status.holding, status.moving && (!status.armed || status.paused), state.stale, state.control, state.me]);
+    const key = JSON.stringify([status.armed, status.paused, status.job, status.state, status.stopped, status.awaiting_approval, status.plan?.unix_s, status.holding, status.ways, status.moving && (!status.armed || status.paused), state.stale, state.control, state.me]);
     if (key === drawn) return;
     drawn = key;
     const can = may("operate") && !state.stale && status.state !== "starting";
@@ -170,7 +171,7 @@ export function orders() {
         status.job && button(t("Cancel the job"), { do: "cancel", id: status.job }, can),
         hold(t("Release the vacuum"), () => give(t("Release"), { do: "release", channel: null }), { id: "order-release", disabled: !can })),
       // Something may hang on the gripper although the stop was left.
-      !status.armed && (status.stopped || (status.holding && !status.moving)) && ways(status));
+      !status.armed && (status.stopped || status.ways.length > 0 || (status.holding && !status.moving)) && ways(status));
   };
   const stops = [on("status", settled), on("status", draw), on("stale", () => { drawn = ""; draw(); }), on("control", draw), on("me", draw)];
   draw();

@@ -321,7 +321,7 @@ impl Supervisor {
 
     fn not_active(&self, id: &str) -> Reply {
         Reply::refuse(match &self.job {
-            Some(job) => format!("job {id} is not the active one, that is {}", job.order.id),
+            Some(job) => format!("job {id} is not the active one; job {} is under way", job.order.id),
             None => format!("job {id} is not the active one: there is none"),
         })
     }

@@ -9,6 +9,7 @@ use crate::orders::WayBack;
 use crate::supervisor::cell::Supervisor;
 use crate::supervisor::gates::{self, GateClosed};
 use crate::supervisor::input::DeviceSnapshot;
+use crate::supervisor::recovery::protective;
 use cell_values::time::Timestamp;
 use ur_wire::enumerations::SafetyMode;
 use ur_wire::error_codes::meaning;
@@ -85,6 +86,16 @@ impl Supervisor {
             },
         });
         lines.join("\n")
+    }
+
+    /// The ways back that may be taken now, where there is a stop to leave or something that may hang on the
+    /// gripper.
+    pub(crate) fn ways_now(&self, devices: &DeviceSnapshot) -> Vec<WayBack> {
+        let stopped = self.back.last_stop.is_some() || protective(devices);
+        let holds = matches!(gates::empty_handed(devices), Err(GateClosed::Holding(_)));
+        let needed = stopped || self.holding_words().is_some() || holds;
+        let ways = WAYS.map(|(way, _)| way).into_iter();
+        ways.filter(|way| needed && self.may_recover(devices, *way).is_ok()).collect()
     }
 
     /// Inputs that celld needs and another client of the controller holds, and who that may be.

@@ -3,8 +3,10 @@
 //! In: the supervisor's state. Out: [`Status`], in values that programs compare and in words for people.
 
 use crate::code::Code;
+use crate::orders::WayBack;
 use crate::supervisor::cell::Supervisor;
 use crate::supervisor::gates::GateClosed;
+use crate::supervisor::input::DeviceSnapshot;
 pub use crate::supervisor::phase::WorkStep;
 use crate::supervisor::phase::{Phase, WorkStage};
 use crate::supervisor::reason::Reason;
@@ -135,6 +137,8 @@ pub struct Status {
     pub hint: String,
     /// The stop that is still to be left, and why it came.
     pub stopped: Option<StopNote>,
+    /// The ways back that may be taken now, where there is something to leave or to get rid of.
+    pub ways: Vec<WayBack>,
     /// Robot, gripper, camera.
     pub devices: Vec<DeviceNote>,
 }
@@ -200,6 +204,7 @@ impl Status {
             because: None,
             hint: String::new(),
             stopped: None,
+            ways: Vec::new(),
             devices: Vec::new(),
         }
     }
@@ -268,8 +273,26 @@ impl Supervisor {
                 let Reason { code, message, .. } = stop.reason.clone();
                 StopNote { code, message, hint: self.stop_hint(stop) }
             }),
+            ways: Vec::new(),
             devices: Vec::new(),
         }
+    }
+
+    /// The same with what the devices' present state allows: how each is, the ways back that may be taken,
+    /// and what has to be done before an arming that would be refused.
+    pub fn status_with(&self, devices: &DeviceSnapshot) -> Status {
+        let status = self.status();
+        let hint = self.before_arming(devices).unwrap_or(status.hint);
+        Status { ways: self.ways_now(devices), devices: self.device_notes(devices), hint, ..status }
+    }
+
+    /// Where arming is what is next and would be refused: what comes first.
+    fn before_arming(&self, devices: &DeviceSnapshot) -> Option<String> {
+        let next = self.doing() == Doing::Waiting(GateClosed::Disarmed) && self.back.last_stop.is_none();
+        // What may hang on the gripper has its hint already.
+        let hangs = self.holding_words().is_some() || self.back.grips;
+        let closed = self.may_arm(devices).err().filter(|_| next && !hangs)?;
+        Some(closed.hint().to_string())
     }
 
     /// What is under way, a stop that is not confirmed whatever the phase, the way to the park pose that a

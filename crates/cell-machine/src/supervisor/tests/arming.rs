@@ -3,6 +3,7 @@
 use super::*;
 use crate::orders::WayBack;
 use crate::supervisor::back::Held;
+use crate::supervisor::gates::GateClosed;
 
 /// What is missing, and a word of the answer that names it.
 type Missing = (&'static str, fn(&mut Bench));
@@ -64,6 +65,53 @@ fn a_way_back_that_is_refused_names_no_order_that_is_refused_too() {
         assert!(!reply.message.contains("celld arm"), "{word}: {}", reply.message);
     }
     assert!(refused > 10, "{refused}");
+}
+
+/// Who reads the status is not sent to arm a cell that refuses it.
+#[test]
+fn what_an_arming_lacks_comes_before_it_in_the_hint() {
+    for (word, remove) in MISSING {
+        let mut bench = Bench::new();
+        bench.job(false);
+        bench.ticks(1);
+        let hint = |bench: &Bench| bench.cell.status_with(&bench.devices(&bench.robot)).hint;
+        assert_eq!(hint(&bench), GateClosed::Disarmed.hint());
+        remove(&mut bench);
+        let refused = bench.cell.may_arm(&bench.devices(&bench.robot)).expect_err(word);
+        assert_eq!(hint(&bench), refused.hint(), "{word}");
+    }
+}
+
+/// A page offers what the status names, and nothing else.
+#[test]
+fn the_ways_in_the_status_are_those_that_the_cell_takes() {
+    let (mut offered, mut refused) = (0, 0);
+    let whole: Missing = ("nothing", |_| {});
+    for (word, remove) in MISSING.iter().chain([&whole]) {
+        for vacuum in [[0.01, 0.0], [0.5, 0.0]] {
+            let bench = || {
+                let mut bench = Bench::new();
+                let (object, to) = ("b".to_string(), Pose2::default());
+                let held =
+                    Held { object, grasp: None, height: 0.02, mass: 0.1, hold: 1.0, to, let_go: false };
+                (bench.vacuum, bench.cell.back.held) = (vacuum, Some(held));
+                bench.ticks(3);
+                remove(&mut bench);
+                bench
+            };
+            let named = bench();
+            let ways = named.cell.status_with(&named.devices(&named.robot)).ways;
+            for way in [WayBack::Place, WayBack::Hold, WayBack::Release, WayBack::Retreat] {
+                let taken = answer(&bench().feed(order(Order::Recover(way)))).is_none_or(|one| one.accepted);
+                assert_eq!(ways.contains(&way), taken, "{word}, {vacuum:?}: {way:?}");
+                (offered, refused) = (offered + usize::from(taken), refused + usize::from(!taken));
+            }
+        }
+    }
+    assert!(offered > 10 && refused > 50, "{offered} {refused}");
+    let mut bench = Bench::new();
+    bench.ticks(3);
+    assert_eq!(bench.cell.status_with(&bench.devices(&bench.robot)).ways, [], "there is nothing to leave");
 }
 
 #[test]
