@@ -7,6 +7,7 @@
 //! for a message from us.
 
 mod drawing;
+mod said;
 mod tape;
 
 pub use tape::{piece_of, topic_of};
@@ -49,6 +50,9 @@ const WAITING_ENTRIES: usize = 4096;
 /// How long a file without a job becomes, in the cell's time; the one before it is kept too.
 const IDLE_FILE: Duration = Duration::from_secs(300);
 
+/// How long a job's file goes on after the job where the arm is not known to be at rest, in the cell's time.
+const REST_WITHIN: Duration = Duration::from_secs(30);
+
 /// How long the end of a run waits for what is left to be written.
 const CLOSE_WITHIN: std::time::Duration = std::time::Duration::from_secs(10);
 
@@ -64,6 +68,9 @@ pub struct Recorder {
     single: bool,
     /// Of the last status.
     job: Option<String>,
+    moving: bool,
+    /// When the file of the last job ends, whether the arm rests or not.
+    rests_by: Timestamp,
     /// What the present file is of, and when it began; `None` before the first.
     open: Option<(Segment, Timestamp)>,
     moments: Vec<(Timestamp, Moment)>,
@@ -118,6 +125,8 @@ impl Recorder {
             decisions,
             single: false,
             job: None,
+            moving: false,
+            rests_by: Timestamp::ZERO,
             open: None,
             moments: Vec::new(),
             gap: false,
@@ -159,7 +168,11 @@ impl Recorder {
                 self.put(now, Entry::Vacuum(*vacuum));
             }
             Scene::Status(status) => {
+                if self.job.is_some() && status.job.is_none() {
+                    self.rests_by = now + REST_WITHIN;
+                }
                 self.job.clone_from(&status.job);
+                self.moving = status.moving;
                 self.put(now, Entry::Status(status_json(status)));
             }
             Scene::Ended(report) => {
@@ -196,6 +209,9 @@ impl Recorder {
     fn effect(&mut self, now: Timestamp, effect: &Effect) {
         if let Effect::Commit { record: Record::Found { goals, .. }, .. } = effect {
             self.put(now, Entry::Goals(goals.clone()));
+        }
+        if let Some((level, line)) = said::line(effect) {
+            self.put(now, Entry::Log(level, line));
         }
         if self.decisions && self.open.is_some() {
             self.moments.push((now, Moment::Effect(Box::new(effect.clone()))));
@@ -240,6 +256,11 @@ impl Recorder {
         }
         let wanted = self.shared.wants_file.swap(false, Ordering::Relaxed);
         let over = segment == Segment::Idle && now.since(*since) >= IDLE_FILE;
+        // How the arm came to rest belongs to the job that it ended.
+        let comes_to_rest = self.moving && now < self.rests_by && matches!(present, Segment::Job(_));
+        if comes_to_rest && segment == Segment::Idle && !wanted {
+            return None;
+        }
         (wanted || over || segment != *present).then_some(segment)
     }
 

@@ -155,6 +155,30 @@ fn each_job_has_its_file_and_the_time_without_one_a_ring() {
     }
 }
 
+/// What a stop ends is not over before the arm rests; an arm that is not known to rest keeps no file open.
+#[test]
+fn the_file_of_a_job_ends_once_the_arm_rests() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut recorder = start(&config(folder.path(), 1 << 30, 0), None).unwrap();
+    let mut machine = machine();
+    let mut pass = |now: f64, job: Option<&str>, moving: bool| {
+        let status = Status { job: job.map(str::to_string), moving, ..Status::idle() };
+        recorder.on(at(now), &Scene::Status(&status));
+        turn(&mut recorder, &mut machine, at(now));
+        recorder.open.as_ref().map(|(segment, _)| segment.clone())
+    };
+    let job = |id: &str| Some(Segment::Job(id.to_string()));
+    assert_eq!(pass(0.0, Some("a"), true), job("a"));
+    assert_eq!(pass(1.0, None, true), job("a"), "it brakes");
+    assert_eq!(pass(2.0, None, false), Some(Segment::Idle));
+    assert_eq!(pass(3.0, None, true), Some(Segment::Idle), "another motion is no part of it");
+    assert_eq!(pass(4.0, Some("b"), true), job("b"));
+    assert_eq!(pass(5.0, None, true), job("b"));
+    assert_eq!(pass(6.0, Some("c"), true), job("c"), "the next job has its own");
+    assert_eq!(pass(7.0, None, true), job("c"));
+    assert_eq!(pass(38.0, None, true), Some(Segment::Idle), "whether it rests or not");
+}
+
 #[test]
 fn a_long_file_is_followed_by_the_next_and_the_oldest_goes() {
     let folder = tempfile::tempdir().unwrap();
