@@ -183,15 +183,13 @@ mod tests {
         let phrases: BTreeSet<&str> = phrases.flat_map(|part| part.split(", then ")).collect();
         // A person names jobs as he likes.
         let known = |phrase: &str| {
-            german.contains_key(phrase)
-                || phrase.is_empty()
-                || phrase.contains("job-#")
-                || phrase.contains("job none")
+            let of_any_job = phrase.replace("job job-#", "job JOB").replace("job none", "job JOB");
+            phrase.is_empty() || german.contains_key(&of_any_job)
         };
         let missing: Vec<_> = phrases.iter().filter(|phrase| !known(phrase)).collect();
         assert!(missing.is_empty() && phrases.len() > 200, "{missing:#?}");
         for (english, german) in &german {
-            let holes = |text: &str| (text.matches('#').count(), text.matches("OBJECT").count());
+            let holes = |text: &str| ["#", "OBJECT", "JOB"].map(|hole| text.matches(hole).count());
             assert_eq!(holes(english), holes(german), "{english}: what is filled in");
         }
     }

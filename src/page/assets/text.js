@@ -51,17 +51,23 @@ export function know(ids) {
   names = [...ids].sort((a, b) => b.length - a.length);
 }
 
-/** One phrase of the cell: in the table numbers are `#` and objects `OBJECT`, in the same order. */
+/** One phrase of the cell: in the table numbers are `#`, objects `OBJECT` and jobs `JOB`, in the same order. */
 function phrase(text) {
+  return filled(text, false) ?? filled(text, true) ?? text;
+}
+
+/** The phrase of the table with what the text has in its holes. What a job is called only its place says. */
+function filled(text, jobs) {
   const escaped = names.map((name) => name.replace(/[.*+?^${}()|[\]\\]/g, "\\$&"));
   const named = escaped.length ? `(?<![\\w-])(?:${escaped.join("|")})(?![\\w-])|` : "";
-  const found = { "#": [], OBJECT: [] };
-  const key = text.replace(new RegExp(`${named}(?:(?<!\\w)-)?\\d+(?:\\.\\d+)*`, "g"), (part) => {
-    const hole = names.includes(part) ? "OBJECT" : "#";
+  const job = jobs ? "(?<=\\bjob )[^\\s`]+|" : "";
+  const found = { "#": [], OBJECT: [], JOB: [] };
+  const key = text.replace(new RegExp(`${job}${named}(?:(?<!\\w)-)?\\d+(?:\\.\\d+)*`, "g"), (part, at) => {
+    const hole = jobs && text.slice(0, at).endsWith("job ") ? "JOB" : names.includes(part) ? "OBJECT" : "#";
     found[hole].push(part);
     return hole;
   });
-  return phrases.get(key)?.replace(/#|OBJECT/g, (hole) => found[hole].shift() ?? hole) ?? text;
+  return phrases.get(key)?.replace(/#|OBJECT|JOB/g, (hole) => found[hole].shift() ?? hole);
 }
 
 /** A sentence of the cell in the chosen language. */
