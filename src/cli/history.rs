@@ -241,7 +241,7 @@ mod tests {
         journal.claim(&job, 1.7e9).unwrap();
         journal.start("tidy", 1.7e9).unwrap();
         let at = GoalPose { pose: Pose2::new(0.1, 0.1, 0.0), ..goal.clone() };
-        journal.found("tidy", std::slice::from_ref(&at), std::slice::from_ref(&goal)).unwrap();
+        journal.found("tidy", std::slice::from_ref(&at), std::slice::from_ref(&goal), 1.7e9).unwrap();
         let step = PlanStep { object: "plank-1".into(), from: at.pose, to: goal.pose, kind: StepKind::Goal };
         let plan = PlanRecord {
             number: 1,

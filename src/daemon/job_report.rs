@@ -5,8 +5,10 @@
 
 use crate::config::cell::CellConfig;
 use crate::daemon::plan_files;
-use crate::jobs::history::{how_far_at, story_lines};
-use crate::jobs::record::{GoalPose, JobRecord, JobState, StepKind, StepPhase, StepRecord};
+use crate::jobs::history::{how_far_at, story_lines, unseen};
+use crate::jobs::record::{
+    GoalPose, JobRecord, JobResult, JobState, ObjectResult, StepKind, StepPhase, StepRecord,
+};
 use crate::jobs::utc;
 use crate::report::plan_animation::FILM_CAPTION;
 use crate::report::run::{Drawing, Figures, LogRow, MoveRow, ObjectRow, Picture, RunReport};
@@ -29,7 +31,10 @@ pub fn job_report(
         title: job.id.clone(),
         reached: job.state == JobState::Ended(JobStatus::Done),
         headline: match result {
-            Some(result) => format!("{} ({}){}", result.message, result.code, hint(&result.hint)),
+            Some(result) => {
+                let way = on_the_way(job, steps).map_or_else(String::new, |words| format!("; {words}"));
+                format!("{} ({}){way}{}", result.message, result.code, hint(&result.hint))
+            }
             None => format!("the job is {}", job.state),
         },
         figures: Figures {
@@ -43,7 +48,7 @@ pub fn job_report(
             ..Figures::default()
         },
         moves: moves(steps, job.started_unix_s, job.ended_unix_s),
-        objects: result.map(objects).unwrap_or_default(),
+        objects: result.map(|result| objects(result, steps)).unwrap_or_default(),
         pictures: folder.map(pictures).unwrap_or_default(),
         drawings: drawings(job, cell),
         log: log(job, steps),
@@ -51,11 +56,24 @@ pub fn job_report(
     }
 }
 
-fn objects(result: &crate::jobs::record::JobResult) -> Vec<ObjectRow> {
-    let row = |object: &crate::jobs::record::ObjectResult| ObjectRow {
+/// What was gripped and not put down when the job ended.
+fn on_the_way(job: &JobRecord, steps: &[StepRecord]) -> Option<String> {
+    let last = steps.last()?;
+    let off = match last.phase {
+        StepPhase::Gripped => false,
+        // By a way back, after the job.
+        StepPhase::Released => job.ended_unix_s.is_none_or(|ended| last.changed_unix_s <= ended),
+        StepPhase::Intent | StepPhase::Done | StepPhase::Abandoned => true,
+    };
+    (!off).then(|| format!("{} {}", last.intent.object, how_far_at(last, job.ended_unix_s)))
+}
+
+fn objects(result: &JobResult, steps: &[StepRecord]) -> Vec<ObjectRow> {
+    let row = |object: &ObjectResult| ObjectRow {
         id: object.id.clone(),
         goal: object.goal,
         measured: object.measured,
+        unseen: object.measured.is_none().then(|| unseen(&object.id, steps)),
         truth: None,
     };
     result.objects.iter().map(row).collect()
@@ -137,10 +155,10 @@ fn drawings(job: &JobRecord, cell: &CellConfig) -> Vec<Drawing> {
 
 /// The story, a line each.
 fn log(job: &JobRecord, steps: &[StepRecord]) -> Vec<LogRow> {
-    let mut last = job.claimed_unix_s;
-    let row = |(at, text): (Option<f64>, String)| {
-        last = at.unwrap_or(last);
-        LogRow { seconds: last - job.claimed_unix_s, level: "info", text }
+    let row = |(at, text): (Option<f64>, String)| LogRow {
+        seconds: at.map(|at| at - job.claimed_unix_s),
+        level: "info",
+        text,
     };
     story_lines(job, steps).into_iter().map(row).collect()
 }
@@ -176,6 +194,16 @@ mod tests {
             table: Vec::new(),
         };
         StepRecord { step, intent, phase, changed_unix_s: 10.0 * f64::from(step), gripped_unix_s: None }
+    }
+
+    #[test]
+    fn what_hung_on_the_gripper_when_the_job_ended_is_in_the_first_line() {
+        let job = JobRecord { ended_unix_s: Some(15.0), ..JobRecord::sample("a") };
+        let of = |phase| on_the_way(&job, &[step(1, "lid", StepPhase::Done), step(2, "mug", phase)]);
+        let on_its_way = Some("mug was gripped, on its way to its goal".to_string());
+        assert_eq!(of(StepPhase::Gripped), on_its_way);
+        assert_eq!(of(StepPhase::Released), on_its_way, "it was let go after the end");
+        assert_eq!((of(StepPhase::Done), of(StepPhase::Intent)), (None, None));
     }
 
     #[test]

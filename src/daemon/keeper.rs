@@ -344,13 +344,13 @@ impl StateKeeper {
         }
         let Some((id, open)) = &mut self.active else { return Ok(()) };
         match (record, *open) {
-            (Record::Found { objects: o, goals: g }, _) => self.journal.found(id, &poses(o), &poses(g)),
+            (Record::Found { objects: o, goals: g }, _) => self.journal.found(id, &poses(o), &poses(g), now),
             (Record::Planned(note), _) => {
                 let plan = plan_files::record_of(note, now);
                 self.undrawn = true;
                 self.journal.planned(id, self.plan.insert(plan))
             }
-            (Record::Approved, _) => self.journal.approve(id),
+            (Record::Approved, _) => self.journal.approve(id, now),
             (Record::Intent { object, from, to, kind, tool_from_object, table, .. }, previous) => {
                 // A grip that failed left its step open; it is over once the next one is meant.
                 if let Some(step) = previous {

@@ -53,6 +53,7 @@ pub fn report(outcome: &DemoOutcome, instance: &Instance, choice: &DemoChoice) -
             id: object.id.clone(),
             goal: object.goal,
             measured: kept.last_seen.as_ref().and_then(|seen| seen.object(&object.id)).map(|o| o.pose),
+            unseen: None,
             truth: outcome.truth.iter().find(|(id, _)| *id == object.id).map(|(_, pose)| *pose),
         })
         .collect();

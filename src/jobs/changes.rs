@@ -49,7 +49,7 @@ pub fn changes(before: &Status, now: &Status) -> Vec<String> {
         lines.push(format!("gripper: {}", now.holding.as_ref().unwrap_or(&nothing)));
     }
     if (now.waiting, now.unread) != (before.waiting, before.unread) {
-        lines.push(format!("{} jobs wait, {} files are not read yet", now.waiting, now.unread));
+        lines.push(format!("jobs that wait: {}, files that are not read yet: {}", now.waiting, now.unread));
     }
     let refused = now.refused.as_ref().filter(|_| now.refused != before.refused);
     lines.extend(refused.map(RefusedFile::text));
@@ -109,7 +109,7 @@ mod tests {
                 "job tidy is taken up",
                 "carrying mug (2 of 7 moves made)",
                 "gripper: mug hangs on it",
-                "3 jobs wait, 0 files are not read yet",
+                "jobs that wait: 3, files that are not read yet: 0",
             ]
         );
         let device = |ready| DeviceStatus {

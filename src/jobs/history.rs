@@ -54,12 +54,15 @@ pub fn story_lines(job: &JobRecord, steps: &[StepRecord]) -> Vec<(Option<f64>, S
     }
     if !job.found.is_empty() {
         let goals = job.resolved.as_ref().map_or(0, Vec::len);
-        at(None, format!("found {} objects on the table, {goals} of them with a goal", job.found.len()));
+        at(
+            job.found_unix_s,
+            format!("found {} objects on the table, {goals} of them with a goal", job.found.len()),
+        );
     }
     if let Some(plan) = &job.plan {
         at(Some(plan.unix_s), format!("planned: {}", plan.summary()));
         if job.approved.is_some() {
-            at(None, "a person approved a plan".to_string());
+            at(job.approved_unix_s, "a person approved a plan".to_string());
         }
     }
     for step in steps {
@@ -174,12 +177,19 @@ fn objects(job: &JobRecord, steps: &[StepRecord]) -> String {
     for object in &result.objects {
         let state = match (object.error_mm, object.error_deg) {
             (Some(mm), Some(deg)) => format!("{mm:.1} mm and {deg:.1} degrees from its goal, as seen last"),
-            _ if hung_since_it_was_seen(&object.id, steps) => "not seen since it was gripped".to_string(),
-            _ => "not seen".to_string(),
+            _ => unseen(&object.id, steps).to_string(),
         };
         let _ = writeln!(text, "  {}: {state}", object.id);
     }
     text
+}
+
+/// Of an object without a measured place: why.
+pub fn unseen(object: &str, steps: &[StepRecord]) -> &'static str {
+    match hung_since_it_was_seen(object, steps) {
+        true => "not seen since it was gripped",
+        false => "not seen",
+    }
 }
 
 /// Whether an object without a measured place has one that is known no more, since it was on the cups.
@@ -264,6 +274,8 @@ mod tests {
             spec: JobSpec { goal: vec![goal.clone()], ..JobSpec::default() },
             state: JobState::Ended(JobStatus::Failed),
             found: vec![goal.clone()],
+            found_unix_s: Some(NOW + 8.0),
+            approved: Some("[]".into()),
             resolved: Some(vec![goal.clone()]),
             plan: Some(PlanRecord {
                 number: 1,
@@ -304,8 +316,9 @@ mod tests {
 
         2026-11-21T08:00:00Z  taken up from tidy.yaml
         2026-11-21T08:00:01Z  begun
-                              found 1 objects on the table, 1 of them with a goal
+        2026-11-21T08:00:08Z  found 1 objects on the table, 1 of them with a goal
         2026-11-21T08:00:09Z  planned: 0 pick-n-places, lower bound 1, about 8 s
+                              a person approved a plan
         2026-11-21T08:00:20Z  1. mug was gripped, on its way to its goal
         2026-11-21T08:00:25Z  2. mug was gripped, on its way to its goal
         2026-11-21T08:00:30Z  failed after 29.0 s (s: travel 12.0)

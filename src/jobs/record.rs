@@ -122,8 +122,12 @@ pub struct JobRecord {
     pub state: JobState,
     /// What a person approved: the plan as JSON. Journals of earlier versions have other words there.
     pub approved: Option<String>,
+    /// When, s since 1970; none where none did, and in what a celld before journal version 4 wrote.
+    pub approved_unix_s: Option<f64>,
     /// Where the objects lay at its first look; empty before that.
     pub found: Vec<GoalPose>,
+    /// When that was noted, s since 1970; none as for the approval.
+    pub found_unix_s: Option<f64>,
     /// The goals that it has since then.
     pub resolved: Option<Vec<GoalPose>>,
     /// What was planned last.
@@ -359,7 +363,9 @@ impl JobRecord {
             spec: JobSpec::default(),
             state: JobState::Ended(JobStatus::Done),
             approved: None,
+            approved_unix_s: None,
             found: Vec::new(),
+            found_unix_s: None,
             resolved: None,
             plan: None,
             claimed_unix_s: 0.0,

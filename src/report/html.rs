@@ -93,14 +93,21 @@ fn objects(page: &mut String, objects: &[ObjectRow], values: &Figures) {
     let _ = write!(
         page,
         "<h2>Objects</h2><p>Distance to the goal; {:.1} mm and {:.1} degrees are allowed.</p>\
-         <div class=\"scroll\"><table><thead><tr><th>object</th><th>goal: x, y, angle</th><th>by the \
-         camera</th><th></th>{}</tr></thead><tbody>",
+         <div class=\"scroll\"><table><thead><tr><th>object</th><th>goal: x, y, angle</th><th>seen last \
+         at</th><th>from the goal</th><th></th>{}</tr></thead><tbody>",
         values.tolerance_mm,
         values.tolerance_deg,
         if with_truth { "<th>in the simulated world</th><th></th>" } else { "" }
     );
     for object in objects {
-        let _ = write!(page, "<tr><td>{}</td><td>{}</td>", escape(&object.id), or_dash(object.goal, pose));
+        let seen = object.measured.map(pose).or(object.unseen.map(escape));
+        let _ = write!(
+            page,
+            "<tr><td>{}</td><td>{}</td><td>{}</td>",
+            escape(&object.id),
+            or_dash(object.goal, pose),
+            or_dash(seen, |words| words)
+        );
         deviation_cells(page, deviation(object.goal, object.measured), values);
         if with_truth {
             deviation_cells(page, deviation(object.goal, object.truth), values);
@@ -177,9 +184,9 @@ fn log(page: &mut String, log: &[LogRow]) {
     for row in log {
         let _ = write!(
             page,
-            "<li class=\"{}\"><b>{:.2} s</b>{}</li>",
+            "<li class=\"{}\"><b>{}</b>{}</li>",
             escape(row.level),
-            row.seconds,
+            row.seconds.map_or_else(String::new, |seconds| format!("{seconds:.2} s")),
             escape(&row.text)
         );
     }
@@ -249,8 +256,15 @@ mod tests {
                 },
             ],
             objects: vec![
-                ObjectRow { id: "plank-1".into(), goal, measured: near, truth: near },
-                ObjectRow { id: "plank-2".into(), goal, measured: far, truth: None },
+                ObjectRow { id: "plank-1".into(), goal, measured: near, unseen: None, truth: near },
+                ObjectRow { id: "plank-2".into(), goal, measured: far, unseen: None, truth: None },
+                ObjectRow {
+                    id: "plank-3".into(),
+                    goal,
+                    measured: None,
+                    unseen: Some("not seen since it was gripped"),
+                    truth: None,
+                },
             ],
             pictures: vec![Picture {
                 caption: "start".into(),
@@ -258,7 +272,7 @@ mod tests {
                 bytes: vec![1, 2, 3],
             }],
             drawings: vec![Drawing { caption: "end".into(), svg: drawing }],
-            log: vec![LogRow { seconds: 1.5, level: "warning", text: "slow <turn>".into() }],
+            log: vec![LogRow { seconds: Some(1.5), level: "warning", text: "slow <turn>".into() }],
             settings: vec![("seed".into(), "7".into())],
         }
     }
@@ -286,6 +300,13 @@ mod tests {
         let page = html(&report());
         assert!(page.contains("class=\"good\">0.50 mm"), "{page}");
         assert!(page.contains("class=\"bad\">10.00 mm"));
+    }
+
+    #[test]
+    fn where_an_object_ended_is_there_or_why_it_is_not_known() {
+        let page = html(&report());
+        assert!(page.contains("<td>310.0, 200.0 mm, 28.6&deg;</td>"), "{page}");
+        assert!(page.contains("<td>not seen since it was gripped</td><td>-</td>"), "{page}");
     }
 
     #[test]

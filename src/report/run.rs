@@ -89,8 +89,10 @@ pub struct ObjectRow {
     pub id: String,
     /// Wanted pose.
     pub goal: Option<Pose2>,
-    /// As the camera saw it at the end.
+    /// As the camera saw it last.
     pub measured: Option<Pose2>,
+    /// What is known instead where the camera did not see it, or not since it was gripped.
+    pub unseen: Option<&'static str>,
     /// As the simulated world knows it; absent on a real cell.
     pub truth: Option<Pose2>,
 }
@@ -133,8 +135,8 @@ pub struct Drawing {
 /// One log line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LogRow {
-    /// s since the run began.
-    pub seconds: f64,
+    /// s since the run began; `None`: not known.
+    pub seconds: Option<f64>,
     /// "info", "warning", "error".
     pub level: &'static str,
     /// The line.

@@ -84,8 +84,8 @@ mod tests {
                 ..Figures::default()
             },
             objects: vec![
-                ObjectRow { id: "plank-1".into(), goal, measured: near, truth: goal },
-                ObjectRow { id: "plank-2".into(), goal: None, measured: near, truth: None },
+                ObjectRow { id: "plank-1".into(), goal, measured: near, unseen: None, truth: goal },
+                ObjectRow { id: "plank-2".into(), goal: None, measured: near, unseen: None, truth: None },
             ],
             ..RunReport::default()
         };

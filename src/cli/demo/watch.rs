@@ -57,7 +57,11 @@ impl Observer for DemoObserver {
             Scene::Notice(notice) => {
                 let level = if notice.alarm { "warn" } else { "info" };
                 self.bar.println(format!("{:8.1} s  {}", now.as_secs_f64(), notice.text));
-                self.kept.log.push(LogRow { seconds: now.as_secs_f64(), level, text: notice.text.clone() });
+                self.kept.log.push(LogRow {
+                    seconds: Some(now.as_secs_f64()),
+                    level,
+                    text: notice.text.clone(),
+                });
             }
             Scene::Displayed(Displayed::Picture { image, views }) => {
                 let detections = views.last().map_or(&[][..], |view| &view.detections);

@@ -9,6 +9,7 @@ mod claim;
 pub mod old;
 pub(in crate::jobs) mod places;
 pub(in crate::jobs) mod rows;
+mod schema;
 mod steps;
 #[cfg(test)]
 mod tests;
@@ -16,77 +17,13 @@ mod tests;
 use crate::jobs::history::JobFilter;
 use crate::jobs::journal::claim::free_id;
 use crate::jobs::journal::rows::{JobRow, encode, interrupted, job_columns, job_row, source_text, storable};
+use crate::jobs::journal::schema::{MIGRATIONS, SCHEMA, SCHEMA_VERSION};
 use crate::jobs::record::{GoalPose, JobRecord, JobResult, JobState, PlanRecord, StepRecord, moves_made};
 use rusqlite::{Connection, ErrorCode, OpenFlags, OptionalExtension, Transaction, params};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 pub use crate::jobs::journal::claim::{Claim, NewJob};
-
-/// Number in `PRAGMA user_version`. Older databases are brought up to it when the daemon opens them; one of
-/// a larger number is refused.
-const SCHEMA_VERSION: i64 = 3;
-
-/// What makes a database of version k + 1 out of one of version k, for k from 1.
-const MIGRATIONS: [&str; 2] = [
-    "
-ALTER TABLE jobs ADD COLUMN found TEXT;
-ALTER TABLE jobs ADD COLUMN resolved TEXT;
-ALTER TABLE jobs ADD COLUMN plan TEXT;
-",
-    "ALTER TABLE steps ADD COLUMN gripped REAL;",
-];
-
-const SCHEMA: &str = "
-CREATE TABLE jobs (
-  sequence      INTEGER PRIMARY KEY AUTOINCREMENT,
-  id            TEXT NOT NULL UNIQUE,
-  name          TEXT NOT NULL,
-  sha256        TEXT NOT NULL,
-  text          TEXT NOT NULL,
-  spec          TEXT NOT NULL,
-  state         TEXT NOT NULL CHECK (state IN ('waiting','active','done','failed','cancelled','interrupted')),
-  priority      INTEGER NOT NULL,
-  head          INTEGER NOT NULL DEFAULT 0,
-  not_before    REAL,
-  approved      TEXT,
-  claimed       REAL NOT NULL,
-  started       REAL,
-  ended         REAL,
-  result        TEXT,
-  source        TEXT,
-  folder        TEXT,
-  placed_as     TEXT,
-  found         TEXT,
-  resolved      TEXT,
-  plan          TEXT
-);
-CREATE UNIQUE INDEX one_active ON jobs (state) WHERE state = 'active';
-CREATE INDEX jobs_state ON jobs (state);
-CREATE INDEX jobs_source ON jobs (source) WHERE source IS NOT NULL;
-CREATE TABLE steps (
-  job     INTEGER NOT NULL REFERENCES jobs (sequence),
-  step    INTEGER NOT NULL,
-  intent  TEXT NOT NULL,
-  phase   TEXT NOT NULL CHECK (phase IN ('intent','gripped','released','done','abandoned')),
-  changed REAL NOT NULL,
-  gripped REAL,
-  PRIMARY KEY (job, step)
-);
-CREATE UNIQUE INDEX one_open_step ON steps (job) WHERE phase IN ('intent','gripped','released');
-CREATE TABLE rejections (
-  sequence INTEGER PRIMARY KEY AUTOINCREMENT,
-  name     TEXT NOT NULL,
-  stored   TEXT NOT NULL UNIQUE,
-  code     TEXT NOT NULL,
-  reason   TEXT NOT NULL,
-  time     REAL NOT NULL,
-  source   TEXT NOT NULL,
-  moves    INTEGER NOT NULL,
-  settled  INTEGER NOT NULL DEFAULT 0
-);
-CREATE INDEX rejections_source ON rejections (source);
-";
 
 /// Why the journal did not do what was requested.
 #[derive(Debug, thiserror::Error)]
@@ -461,10 +398,16 @@ impl Journal {
     ///
     /// # Errors
     /// As [`Journal::approve`].
-    pub fn found(&mut self, id: &str, objects: &[GoalPose], goals: &[GoalPose]) -> Result<(), JournalError> {
-        let update = "UPDATE jobs SET found = coalesce(found, ?2), resolved = coalesce(resolved, ?3)
-                      WHERE id = ?1 AND state IN ('waiting','active')";
-        self.change(id, "note what it found", update, params![id, encode(&objects), encode(&goals)])
+    pub fn found(
+        &mut self,
+        id: &str,
+        objects: &[GoalPose],
+        goals: &[GoalPose],
+        unix_s: f64,
+    ) -> Result<(), JournalError> {
+        let update = "UPDATE jobs SET found = coalesce(found, ?2), resolved = coalesce(resolved, ?3),
+                      found_at = coalesce(found_at, ?4) WHERE id = ?1 AND state IN ('waiting','active')";
+        self.change(id, "note what it found", update, params![id, encode(&objects), encode(&goals), unix_s])
     }
 
     /// The highest number of the plans that are noted, 0 where none is.
@@ -492,10 +435,10 @@ impl Journal {
     /// # Errors
     /// No job has this id ([`JournalError::UnknownJob`]), it has ended ([`JournalError::WrongState`]), or as
     /// [`Journal::active`].
-    pub fn approve(&mut self, id: &str) -> Result<(), JournalError> {
-        let update = "UPDATE jobs SET approved = json_extract(plan, '$.steps')
+    pub fn approve(&mut self, id: &str, unix_s: f64) -> Result<(), JournalError> {
+        let update = "UPDATE jobs SET approved = json_extract(plan, '$.steps'), approved_at = ?2
                       WHERE id = ?1 AND state IN ('waiting','active')";
-        self.change(id, "approve it", update, params![id])
+        self.change(id, "approve it", update, params![id, unix_s])
     }
 
     /// Ends a job. Folders follow with the next `Spool::reconcile`.
@@ -575,7 +518,9 @@ impl Journal {
             spec: self.decode("jobs.spec", &row.spec)?,
             state,
             approved: row.approved,
+            approved_unix_s: row.approved_at,
             found: row.found.map_or(Ok(Vec::new()), |text| self.decode("jobs.found", &text))?,
+            found_unix_s: row.found_at,
             resolved: row.resolved.map(|text| self.decode("jobs.resolved", &text)).transpose()?,
             plan: row.plan.map(|text| self.decode("jobs.plan", &text)).transpose()?,
             claimed_unix_s: row.claimed,

@@ -26,13 +26,16 @@ pub(super) struct JobRow {
     pub found: Option<String>,
     pub resolved: Option<String>,
     pub plan: Option<String>,
+    pub found_at: Option<f64>,
+    pub approved_at: Option<f64>,
 }
 
-/// Columns in the order of [`JobRow`], of a database of this version; one of version 1 lacks some.
+/// Columns in the order of [`JobRow`], of a database of this version; older ones lack some.
 pub(super) fn job_columns(version: i64) -> String {
     let first = "sequence, id, name, sha256, text, spec, state, approved, claimed, started, ended, result";
     let second = if version < 2 { "NULL, NULL, NULL" } else { "found, resolved, plan" };
-    format!("{first}, {second}")
+    let third = if version < 4 { "NULL, NULL" } else { "found_at, approved_at" };
+    format!("{first}, {second}, {third}")
 }
 
 pub(super) fn job_row(row: &Row) -> Result<JobRow, rusqlite::Error> {
@@ -52,6 +55,8 @@ pub(super) fn job_row(row: &Row) -> Result<JobRow, rusqlite::Error> {
         found: row.get(12)?,
         resolved: row.get(13)?,
         plan: row.get(14)?,
+        found_at: row.get(15)?,
+        approved_at: row.get(16)?,
     })
 }
 

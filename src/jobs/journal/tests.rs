@@ -198,8 +198,8 @@ fn what_is_found_planned_and_approved_is_there_after_a_restart() {
     claim(&mut journal, "a", "1", &spec(0, None, false));
     journal.start("a", NOW).unwrap();
     let pose = |x: f64| vec![GoalPose { id: "mug".into(), pose: Pose2::new(x, 0.2, 0.3) }];
-    journal.found("a", &pose(0.1), &pose(0.4)).unwrap();
-    journal.found("a", &pose(0.8), &pose(0.9)).unwrap();
+    journal.found("a", &pose(0.1), &pose(0.4), NOW + 1.0).unwrap();
+    journal.found("a", &pose(0.8), &pose(0.9), NOW + 2.0).unwrap();
     assert_eq!(journal.job("a").unwrap().unwrap().agreed(), [], "nothing is planned yet");
     let step = PlanStep {
         object: "mug".into(),
@@ -222,7 +222,7 @@ fn what_is_found_planned_and_approved_is_there_after_a_restart() {
     journal.planned("a", &PlanRecord { number: 7, ..plan.clone() }).unwrap();
     assert_eq!(journal.highest_plan().unwrap(), 7);
     journal.planned("a", &plan).unwrap();
-    journal.approve("a").unwrap();
+    journal.approve("a", NOW + 3.0).unwrap();
     journal.planned("a", &PlanRecord { steps: Vec::new(), ..plan.clone() }).unwrap();
     drop(journal);
     let job = Journal::open_to_read(&path).unwrap().job("a").unwrap().unwrap();
@@ -232,6 +232,8 @@ fn what_is_found_planned_and_approved_is_there_after_a_restart() {
         "the first look counts"
     );
     assert_eq!(job.agreed(), [step], "what was approved, not what was planned later");
+    let times = (job.found_unix_s, job.approved_unix_s);
+    assert_eq!(times, (Some(NOW + 1.0), Some(NOW + 3.0)), "of the first look, of the approval");
     assert_eq!(job.plan.map(|plan| plan.steps.len()), Some(0));
 }
 
@@ -248,7 +250,7 @@ fn jobs_are_found_by_their_end_their_time_and_their_objects() {
             journal.step_intent("a", &intent(), NOW).unwrap();
         }
         if id == "c" {
-            journal.found("c", &[], &with_cap.goal).unwrap();
+            journal.found("c", &[], &with_cap.goal, NOW).unwrap();
         }
         let end = if id == "b" { JobStatus::Failed } else { JobStatus::Done };
         journal.finish(id, &result(id, end), NOW).unwrap();
@@ -288,7 +290,7 @@ fn a_database_of_version_1_is_read_as_it_is_and_brought_up_by_the_daemon() {
     let mut journal = Journal::open(&path).unwrap();
     check(&journal);
     journal.start("waits", NOW).unwrap();
-    journal.found("waits", &[], &[]).unwrap();
+    journal.found("waits", &[], &[], NOW).unwrap();
     drop(journal);
     assert_eq!(Journal::open(&path).unwrap().read_version().unwrap(), SCHEMA_VERSION);
 }
