@@ -415,7 +415,7 @@ fuzz: setup
 	for target in $(FUZZ_TARGETS); do \
 	  mkdir -p target/fuzz/found/$$target target/fuzz/corpus/$$target; \
 	  tar -xzf fuzz/corpus/$$target.tar.gz -C target/fuzz/corpus/$$target; \
-	  target/fuzz/$$host/release/$$target -max_total_time=$(SECONDS) -timeout=20 -rss_limit_mb=2048 -max_len=8192 \
+	  target/fuzz/$$host/release/$$target -max_total_time=$(SECONDS) -timeout=20 -rss_limit_mb=2048 -max_len=1024 \
 	    -print_final_stats=1 -artifact_prefix=target/fuzz/crashes/$$target- \
 	    target/fuzz/found/$$target target/fuzz/corpus/$$target; \
 	done

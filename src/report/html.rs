@@ -210,11 +210,27 @@ mod tests {
     use crate::report::table_svg::{DrawnObject, TableDrawing, table_svg};
     use rearrange::geometry::footprint::Footprint;
 
+    const GOAL: Option<Pose2> = Some(Pose2 { x: 0.3, y: 0.2, theta: 0.5 });
+    const NEAR: Option<Pose2> = Some(Pose2 { x: 0.3004, y: 0.2003, theta: 0.504 });
+    const FAR: Option<Pose2> = Some(Pose2 { x: 0.31, y: 0.2, theta: 0.5 });
+
+    fn objects() -> Vec<ObjectRow> {
+        let row = |id: &str, measured, unseen, truth| ObjectRow {
+            id: id.to_string(),
+            goal: GOAL,
+            measured,
+            unseen,
+            truth,
+        };
+        vec![
+            row("plank-1", NEAR, None, NEAR),
+            row("plank-2", FAR, None, None),
+            row("plank-3", None, Some("not seen since it was gripped"), None),
+        ]
+    }
+
     fn report() -> RunReport {
         let footprint = Footprint::rectangle(0.1, 0.05).unwrap();
-        let goal = Some(Pose2::new(0.3, 0.2, 0.5));
-        let near = Some(Pose2::new(0.3004, 0.2003, 0.504));
-        let far = Some(Pose2::new(0.31, 0.2, 0.5));
         let drawing = table_svg(&TableDrawing {
             title: "end",
             width_m: 0.5,
@@ -223,9 +239,9 @@ mod tests {
             objects: vec![DrawnObject {
                 id: "plank-1",
                 footprint: &footprint,
-                start: goal,
-                goal,
-                measured: near,
+                start: GOAL,
+                goal: GOAL,
+                measured: NEAR,
             }],
         });
         RunReport {
@@ -255,17 +271,7 @@ mod tests {
                     vacuum: None,
                 },
             ],
-            objects: vec![
-                ObjectRow { id: "plank-1".into(), goal, measured: near, unseen: None, truth: near },
-                ObjectRow { id: "plank-2".into(), goal, measured: far, unseen: None, truth: None },
-                ObjectRow {
-                    id: "plank-3".into(),
-                    goal,
-                    measured: None,
-                    unseen: Some("not seen since it was gripped"),
-                    truth: None,
-                },
-            ],
+            objects: objects(),
             pictures: vec![Picture {
                 caption: "start".into(),
                 media_type: "image/png",

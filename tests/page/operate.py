@@ -27,6 +27,7 @@ CELLD = os.path.abspath(sys.argv[1])
 PICTURES = pathlib.Path(sys.argv[2])
 BROWSER = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 LONG = 60_000
+WAYS = {"place": "Put it down", "hold": "Keep holding", "retreat": "Straight up", "release": "Let go (hold it by hand)"}
 
 expect.set_options(timeout=LONG)
 
@@ -239,6 +240,16 @@ def a_click_on_a_busy_page_is_a_click(window):
     page.evaluate("() => document.getElementById('tried').remove()")
 
 
+def ways_are_those_that_the_cell_takes(page, client):
+    """Which ways back can be pressed is what `What happened?` says, and what the status says."""
+    said = page.locator("#answer").inner_text()
+    refused = {way for way, label in WAYS.items() if f"not now: “{label}”" in said}
+    enabled = {way for way in WAYS if page.locator(f"#recover-{way}").is_enabled()}
+    named = set(client.status()["ways"])
+    check("the ways back that can be pressed are those that are not refused", enabled == set(WAYS) - refused == named, f"{enabled} {said}")
+    check("and what is held can be put down", "place" in enabled, said)
+
+
 def stop_with_an_object(window, cell):
     page = window.page
     token = cell.open("--token", "--role", "approve", "--name", "client")
@@ -264,7 +275,7 @@ def stop_with_an_object(window, cell):
     check("what an order began is not announced beside the stop", page.locator("#answer.over").count() == 0)
     page.click("#recover-show")
     window.text("#answer", "plank")
-    page.wait_for_timeout(6000)
+    ways_are_those_that_the_cell_takes(page, client)
     page.click("#recover-place")
     window.text("#answer-click", "hold the button down")
     check("what happened is still there to be read", "plank" in page.locator("#answer").inner_text())
@@ -410,6 +421,8 @@ def all_sizes(browser, cell):
                 window.page.wait_for_selector("#message", timeout=LONG)
                 said = window.page.locator("#message").inner_text()
                 check("the cell's own words are German", said in ("ruht", "angehalten"), said)
+                job = window.page.evaluate("() => import('/text.js').then((text) => text.here('job tidy-7 is under way; job none is not the active one'))")
+                check("whatever a job is called", job == "Auftrag tidy-7 läuft; Auftrag none ist nicht der laufende", job)
                 check("German is spoken", "Befehle" in window.page.evaluate("() => fetch('/text-de.json').then((a) => a.text())") and window.page.locator("nav").inner_text().startswith("Jetzt"))
             window.context.close()
 
