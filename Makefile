@@ -153,7 +153,7 @@ SDK := test(/realsense::tests::/)
 # All targets name the whole workspace: with fewer crates libraries of others get fewer features, and
 # everything is built once more.
 TESTED := --workspace
-SHARED := celld cell-calibration cell-fleet cell-machine cell-motion cell-vision
+SHARED := celld cell-calibration cell-fleet cell-machine cell-motion cell-vision vision-pictures
 CELLS := test(/(^|::)cell_/) | test(/^robot_session::/)
 UNITS_LOG := $(BUILD)/units.log
 # The cell in virtual time: a long wait for the processor changes nothing.

@@ -32,6 +32,7 @@ const TABLE: &[Row] = &[
         uses: Uses::Only(&["cell-values", "rearrange::geometry", "rearrange::tabletop"]),
         pure: true,
     },
+    Row { module: "vision-pictures", uses: Uses::Only(&["cell-values", "cell-vision"]), pure: true },
     Row {
         module: "cell-parts",
         uses: Uses::Only(&[

@@ -1,8 +1,8 @@
 //! The vision benchmark: how often markers are found, how far off they are said to be and really are, how
 //! long it takes.
 //!
-//! In: how many frames, a seed, detector settings. Out: [`Report`]. Frames are drawn by `render` from
-//! `scene`'s tables, five views a table; `perception` looks at them as in the cell. Accuracy is reported
+//! In: how many frames, a seed, detector settings. Out: [`Report`]. Frames are drawn by `vision-pictures`
+//! from `scene`'s tables, five views a table; `perception` looks at them as in the cell. Accuracy is reported
 //! with the lens's true numbers and with those that a calibration from board pictures found (`calibrated`);
 //! times are those of one frame on a core, beside a plain call of the C library on the same frame. Beside it
 //! are the figures of drift (`drift`), of what carries no marker (`foreign`), of the camera's mount
@@ -11,17 +11,14 @@
 pub mod calibrated;
 pub mod change;
 pub mod clutter;
-pub mod degrade;
 pub mod degraded;
 pub mod drift;
 pub mod empty;
 pub mod foreign;
 pub mod hand_eye;
-pub mod render;
 pub mod scene;
 pub mod tally;
 
-use crate::bench::vision::render::{Lens, Sheet, render};
 use crate::bench::vision::scene::{DEGRADE, HEIGHT_M, HEIGHT_OFF_M, SIZE_M, Scene, TILT_RAD, whole};
 use crate::bench::vision::tally::{Accuracy, Tally};
 use crate::perception::{self, Perception};
@@ -41,6 +38,7 @@ use rearrange::geometry::pose::{Pose2, wrap_angle};
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
+use vision_pictures::render::{Lens, Sheet, render};
 
 /// A detection this near a marker's true centre is that marker, pixels.
 const SAME_PX: f64 = 4.0;

@@ -126,7 +126,6 @@ pub(super) fn reported(seen: &Observation) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bench::vision::render::{Ground, Lens, Print, render};
     use crate::bench::vision::scene::{DEGRADE, looking_down};
     use crate::config::setup::{movable_objects, reference_markers};
     use crate::jobs::goal::parse_goal_file;
@@ -135,6 +134,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
     use rearrange::geometry::pose::Pose2;
     use std::path::Path;
+    use vision_pictures::render::{Ground, Lens, Print, render};
 
     /// A picture of the example cell from above, with some of its objects in a row; returns where they lie.
     fn picture(

@@ -4,7 +4,6 @@
 //! over reference markers gives with that lens, found by the code behind `celld calibrate camera` and `celld
 //! calibrate hand-eye`; and how far off they are.
 
-use crate::bench::vision::render::{Ground, Lens, Print, render};
 use crate::bench::vision::scene;
 use crate::bench::vision::scene::{DEGRADE, looking_down};
 use crate::bench::vision::tally::Accuracy;
@@ -22,6 +21,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rearrange::geometry::pose::Pose2;
 use serde::Serialize;
+use vision_pictures::render::{Ground, Lens, Print, render};
 
 /// Pictures of the board, and looks at the reference markers.
 const BOARD_VIEWS: usize = 40;

@@ -5,11 +5,11 @@
 //! such as other marker systems print: the hardest of all, for only their bits are wrong. Pure: the same
 //! generator gives the same picture.
 
-use crate::bench::vision::degrade::Degradation;
 use cell_values::image::GrayImage;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::{PI, TAU};
+use vision_pictures::degrade::Degradation;
 
 /// Things on a picture, fewest and most.
 const THINGS: (usize, usize) = (25, 70);

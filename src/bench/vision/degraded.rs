@@ -5,7 +5,6 @@
 //! settings; the library with its own default thresholds at three decimations. The same degraded picture
 //! goes to all of them.
 
-use crate::bench::vision::degrade::Degradation;
 use crate::bench::vision::{KnownCorners, tally};
 use cell_values::image::GrayImage;
 use cell_vision::detect::second::Expected;
@@ -16,6 +15,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
+use vision_pictures::degrade::Degradation;
 
 /// The columns.
 pub const COLUMNS: [&str; 6] =

@@ -10,7 +10,6 @@
 //! them.
 
 use crate::bench::vision::hand_eye::Calibration;
-use crate::bench::vision::render::{Ground, Lens, Print, render};
 use crate::bench::vision::scene::{DEGRADE, bare, bench_camera, looking_down};
 use crate::bench::vision::tally::quantile;
 use crate::perception::{Perception, Scene, observe_views};
@@ -25,6 +24,7 @@ use rearrange::document::chain::chain;
 use rearrange::geometry::pose::Pose2;
 use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
+use vision_pictures::render::{Ground, Lens, Print, render};
 
 /// The bumps.
 const SHIFT_M: f64 = 2e-3;

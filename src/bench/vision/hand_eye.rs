@@ -6,7 +6,6 @@
 //! axis; then three sets of poses that leave something undetermined. Solved by the code behind `celld
 //! calibrate hand-eye`.
 
-use crate::bench::vision::render::{Lens, Print};
 use crate::bench::vision::scene::{bench_camera, looking_down};
 use crate::bench::vision::tally::quantile;
 use cell_calibration::fit::hand_eye::solve_hand_eye;
@@ -18,6 +17,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rearrange::geometry::pose::Pose2;
 use serde::Serialize;
+use vision_pictures::render::{Lens, Print};
 
 /// Noise of the corners along each axis, px, and of the arm along each axis, m.
 const CORNER_PX: f64 = 0.2;

@@ -6,7 +6,6 @@
 //! 0.2 mm, contrast 50 to 100 %; every other scene lies on a printed sheet among markers of other families
 //! and squares of random modules.
 
-use crate::bench::vision::render::{Degrade, Ground, Lens, Print, Sheet};
 use crate::perception;
 use crate::report::raster;
 use cell_values::image::Image;
@@ -15,12 +14,15 @@ use cell_vision::detect::Family;
 use cell_vision::detect::family::Pattern;
 use cell_vision::observe::ObserveLimits;
 use cell_vision::observe::reference::DriftLimits;
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rearrange::geometry::pose::Pose2;
 use std::f64::consts::{PI, TAU};
 use std::fmt::Write;
+use vision_pictures::render::{Ground, Lens, Print, Sheet};
+
+pub use vision_pictures::view::{DEGRADE, bench_camera, looking_down};
 
 /// Edge of a marker's square, m.
 pub const SIZE_M: f64 = 0.03;
@@ -41,31 +43,6 @@ const LOOK_AROUND_M: f64 = 0.08;
 /// Sides of a sheet, pixels, and their size, m.
 const SHEET_EDGE: usize = 1200;
 const SHEET_PIXEL_M: f64 = 2.5e-4;
-
-/// The benchmark's blur, noise and light.
-pub const DEGRADE: Degrade = Degrade { blur_px: 0.8, noise: 3.0, gradient: 0.3 };
-
-/// The benchmark's lens.
-pub fn bench_camera() -> CameraModel {
-    CameraModel {
-        serial: "bench".into(),
-        width: 1280,
-        height: 720,
-        fx: 650.0,
-        fy: 651.3,
-        cx: 644.7,
-        cy: 355.4,
-        distortion: [-0.05, 0.06, 0.0, 0.0, 0.0],
-    }
-}
-
-/// A camera over the table point (x, y), `height_m` up, tilted about the table's axes and turned.
-pub fn looking_down(at: [f64; 2], height_m: f64, tilt: [f64; 2], turn: f64) -> Isometry3<f64> {
-    let down = UnitQuaternion::from_scaled_axis(Vector3::x() * PI);
-    let turned = UnitQuaternion::from_scaled_axis(Vector3::z() * turn);
-    let tilted = UnitQuaternion::from_scaled_axis(Vector3::new(tilt[0], tilt[1], 0.0));
-    Isometry3::from_parts(Translation3::new(at[0], at[1], height_m), tilted * turned * down)
-}
 
 /// What the cell's perception knows of a table on which nothing is expected: the lens.
 pub(super) fn bare(camera: &CameraModel) -> perception::Scene {

@@ -72,7 +72,6 @@ pub(super) fn take(
 mod tests {
     use super::*;
     use crate::bench::vision::calibrated::{bench_board, board_picture};
-    use crate::bench::vision::render::Lens;
     use crate::bench::vision::scene::bench_camera;
     use crate::io::camera::folder::FolderCamera;
     use crate::io::camera::monitored::MonitoredCamera;
@@ -80,6 +79,7 @@ mod tests {
     use cell_values::image::quality::PictureLimits;
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
+    use vision_pictures::render::Lens;
 
     #[test]
     fn pictures_without_the_board_or_light_are_reported_and_not_kept() {

@@ -3,7 +3,6 @@
 
 use super::*;
 use crate::bench::vision::calibrated::{bench_board, board_picture};
-use crate::bench::vision::render::Lens;
 use crate::bench::vision::scene::bench_camera;
 use crate::config::calibrated::read_calibration;
 use crate::config::pictures::read_camera;
@@ -16,6 +15,7 @@ use nalgebra::Isometry3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::path::PathBuf;
+use vision_pictures::render::Lens;
 
 fn camera_args(images: &Path, out: &Path) -> CameraArgs {
     CameraArgs {
@@ -106,9 +106,9 @@ fn args_of(round: &Path, drop: Vec<usize>) -> RoundArgs {
 /// A round over the example cell's reference markers, rendered through its own lens; returns the mount and
 /// table it was taken with.
 fn record(config: &CellConfig, folder: &Path) -> [Isometry3<f64>; 2] {
-    use crate::bench::vision::render::{Ground, Print, render};
     use crate::bench::vision::scene::{DEGRADE, looking_down};
     use cell_vision::detect::Family;
+    use vision_pictures::render::{Ground, Print, render};
     let set = read_calibration(config).unwrap();
     let [mount, table] = [flange_from_camera(&set), set.table.base_from_table];
     let mut random = ChaCha8Rng::seed_from_u64(2);
@@ -181,12 +181,12 @@ fn a_recorded_round_is_solved_again_and_bad_input_is_named() {
 /// A round before a camera fixed over the example cell's table: the hand carries the board through its
 /// picture.
 fn record_fixed(config: &CellConfig, folder: &Path) -> [Isometry3<f64>; 2] {
-    use crate::bench::vision::render::{Ground, Print, render};
     use crate::bench::vision::scene::DEGRADE;
     use cell_calibration::drawn::CameraMount;
     use cell_calibration::fit::fixed::board_markers;
     use cell_vision::detect::Family;
     use nalgebra::{Translation3, UnitQuaternion, Vector3};
+    use vision_pictures::render::{Ground, Print, render};
     let CameraMount::Fixed { base_from_camera, board, .. } = config.camera else { panic!("fixed") };
     let text = std::fs::read_to_string(&config.calibration.camera).unwrap();
     let camera = CameraCalibration::parse(&text, "camera.yaml").unwrap();

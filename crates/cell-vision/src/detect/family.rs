@@ -52,11 +52,13 @@ pub struct Pattern {
 
 impl Pattern {
     /// True for a white module; outside the print everything is white.
+    #[inline]
     pub fn is_white(&self, column: usize, row: usize) -> bool {
         column >= self.modules || self.white.get(row * self.modules + column).copied().unwrap_or(true)
     }
 
     /// Edge of the whole print for a marker of this size, m.
+    #[inline]
     pub fn print_edge_m(&self, size_m: f64) -> f64 {
         size_m * self.modules as f64 / self.square_modules as f64
     }

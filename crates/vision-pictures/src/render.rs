@@ -127,9 +127,8 @@ impl Print {
         (inside(&column) && inside(&up)).then(|| up as usize * self.pattern.modules + column as usize)
     }
 
-    /// Grey level at a place of the marker's plane, `None` beside the top.
-    fn grey(&self, x: f64, y: f64) -> Option<f32> {
-        let reach = self.reach_m();
+    /// Grey level at a place of the marker's plane, `None` beside the top, which reaches so far.
+    fn grey(&self, reach: f64, x: f64, y: f64) -> Option<f32> {
         if x.abs() >= reach || y.abs() >= reach {
             return None;
         }
@@ -278,6 +277,7 @@ fn paint(lens: &Lens, table_from_camera: &Isometry3<f64>, print: &Print, light: 
     };
     let (Some((left, right)), Some((top, bottom))) = (bound(0, width), bound(1, height)) else { return };
     let marker_from_camera = print.table_from_marker.inverse() * table_from_camera;
+    let reach = print.reach_m();
     let mut above = meet(lens, &marker_from_camera, left..=right + 1, top);
     for row in top..=bottom {
         let below = meet(lens, &marker_from_camera, left..=right + 1, row + 1);
@@ -287,7 +287,7 @@ fn paint(lens: &Lens, table_from_camera: &Isometry3<f64>, print: &Print, light: 
             // A pixel all of whose corners lie in one module has its grey: modules have no bays.
             let plain = module.is_some() && corners[1..].iter().all(|corner| print.module(*corner) == module);
             let rays = if plain { 1 } else { EDGE_RAYS };
-            let (grey, share) = pixel(corners, rays, |x, y| print.grey(x, y));
+            let (grey, share) = pixel(corners, rays, |x, y| print.grey(reach, x, y));
             let there = &mut light[row * width + left + i];
             *there = *there * (1.0 - share) + grey;
         }
@@ -349,7 +349,7 @@ fn normal(random: &mut ChaCha8Rng) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bench::vision::scene::{bench_camera, looking_down};
+    use crate::view::{bench_camera, looking_down};
     use cell_vision::cv;
     use cell_vision::detect::Family;
     use rand::SeedableRng;
