@@ -150,9 +150,9 @@ DATA := $(or $(CELLD_DATA),../shared/data)
 # GDAL takes a tenth of a second to start. Those with the RealSense SDK do not: two of its pipelines that
 # open in one process at once corrupt its memory now and then (1 run in 25; celld has one).
 SDK := test(/realsense::tests::/)
-# All targets name the whole workspace: with fewer crates libraries of others get fewer features, and
-# everything is built once more.
-TESTED := --workspace
+# All targets name the whole workspace and the one feature that is not there by default: with fewer crates or
+# features everything is built once more. What a build without the feature says, clippy reads below.
+TESTED := --workspace --features fleet
 SHARED := celld cell-calibration cell-fleet cell-machine cell-motion cell-vision vision-pictures
 CELLS := test(/(^|::)cell_/) | test(/^robot_session::/)
 UNITS_LOG := $(BUILD)/units.log
@@ -172,8 +172,8 @@ tidy:
 	@CARGO_MANIFEST_DIR=$(CURDIR) $(BUILD)/tidy --quiet
 
 test: setup tidy
-	cargo clippy $(TESTED) --all-targets --features fleet -- -D warnings
-	cargo clippy $(TESTED) --no-default-features --lib --bins --test tidy -- -D warnings
+	cargo clippy $(TESTED) --all-targets -- -D warnings
+	cargo clippy --workspace --no-default-features --lib --bins --test tidy -- -D warnings
 	RUSTDOCFLAGS="-D warnings" cargo doc --quiet $(TESTED) --no-deps --lib
 	cargo test --quiet --doc $(TESTED)
 	@[ -d "$(DATA)" ] || echo "SKIPPED: tests on the public instances and camera recordings, no folder $(DATA) (set CELLD_DATA)"
@@ -310,11 +310,11 @@ test-fleet: export CELLD_MQTT_PYTHON := $(FLEET)/bin/python
 test-fleet: setup setup-fleet $(PAGE)/installed.txt
 	@$(call install,$(PAGE_PACKAGES))
 	@if cargo nextest --version >/dev/null 2>&1; then \
-	  cargo nextest run $(TESTED) --features fleet --lib $(FLEET_TESTS) -E 'package(cell-fleet) | test(/fleet/)'; \
+	  cargo nextest run $(TESTED) --lib $(FLEET_TESTS) -E 'package(cell-fleet) | test(/fleet/)'; \
 	else \
 	  cargo test -p cell-fleet; cargo test --features fleet --lib -- fleet; \
 	fi
-	cargo build $(TESTED) --features fleet --bin celld --test tidy
+	cargo build $(TESTED) --bin celld --test tidy
 	python3 -B tests/fleet/demo.py $(BUILD)/debug/celld $(FLEET)/bin/nats-server $(FLEET)/demo $(PAGE)/bin/python
 
 # Benchmarks over many machines: HyperQueue's Python API, which has server and workers inside, in an
@@ -415,7 +415,7 @@ fuzz: setup
 	for target in $(FUZZ_TARGETS); do \
 	  mkdir -p target/fuzz/found/$$target target/fuzz/corpus/$$target; \
 	  tar -xzf fuzz/corpus/$$target.tar.gz -C target/fuzz/corpus/$$target; \
-	  target/fuzz/$$host/release/$$target -max_total_time=$(SECONDS) -timeout=20 -rss_limit_mb=2048 -max_len=1024 \
+	  target/fuzz/$$host/release/$$target -max_total_time=$(SECONDS) -timeout=20 -rss_limit_mb=2048 -max_len=4352 \
 	    -print_final_stats=1 -artifact_prefix=target/fuzz/crashes/$$target- \
 	    target/fuzz/found/$$target target/fuzz/corpus/$$target; \
 	done

@@ -47,8 +47,10 @@ pub const TARGETS: [(&str, Target); 9] = [
     ("robot_api", robot_api),
 ];
 
-/// Most pieces of one input, and frames a program gets: frames are what an input costs most of.
-const MOST_PIECES: usize = 16;
+/// Most pieces of one input; after how many of them time goes on, and frames a program gets: frames are what
+/// an input costs most of.
+const MOST_PIECES: usize = 64;
+const PIECES_WITH_FRAMES: usize = 16;
 const FRAMES: usize = 12;
 
 /// The bytes behind the first, in pieces as long as the first says (0: whole).
@@ -76,7 +78,7 @@ fn simulator_with(drive: Drive) -> Simulator {
     Simulator::new(controller, world, 1, Vec::new()).expect("a sound cell")
 }
 
-/// Sends to a server of the simulator, `frames` frames after each piece; `received` gets what it sends, in
+/// Sends to a server of the simulator, `frames` frames after each of the first pieces; `received` gets what it sends, in
 /// the pieces in which it sends it. The client then leaves.
 fn talk(port: Port, data: &[u8], frames: usize, received: impl FnMut(&[u8])) -> Simulator {
     talk_to(simulator(), port, data, frames, received)
@@ -99,9 +101,11 @@ fn talk_to(
         }
     };
     listen(&mut simulator);
-    for piece in pieces(data) {
+    for (number, piece) in pieces(data).into_iter().enumerate() {
         simulator.receive(id, piece);
-        (0..frames).for_each(|_| simulator.advance());
+        if number < PIECES_WITH_FRAMES {
+            (0..frames).for_each(|_| simulator.advance());
+        }
         listen(&mut simulator);
     }
     simulator.hang_up(id);

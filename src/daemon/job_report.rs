@@ -13,7 +13,7 @@ use crate::jobs::utc;
 use crate::report::plan_animation::FILM_CAPTION;
 use crate::report::run::{Drawing, Figures, LogRow, MoveRow, ObjectRow, Picture, RunReport};
 use crate::report::table_svg::{DrawnObject, TableDrawing, table_svg};
-use cell_machine::code::JobStatus;
+use cell_machine::code::{Code, JobStatus};
 use rearrange::geometry::pose::Pose2;
 use std::path::Path;
 
@@ -56,8 +56,12 @@ pub fn job_report(
     }
 }
 
-/// What was gripped and not put down when the job ended.
+/// What was gripped and not put down when the job ended, where the job's own words leave that open.
 fn on_the_way(job: &JobRecord, steps: &[StepRecord]) -> Option<String> {
+    let code = job.result.as_ref().map_or("", |result| result.code.as_str());
+    if [Code::VacuumLost, Code::InterruptedCarrying].iter().any(|said| said.as_str() == code) {
+        return None;
+    }
     let last = steps.last()?;
     let off = match last.phase {
         StepPhase::Gripped => false,
@@ -197,13 +201,31 @@ mod tests {
     }
 
     #[test]
-    fn what_hung_on_the_gripper_when_the_job_ended_is_in_the_first_line() {
-        let job = JobRecord { ended_unix_s: Some(15.0), ..JobRecord::sample("a") };
-        let of = |phase| on_the_way(&job, &[step(1, "lid", StepPhase::Done), step(2, "mug", phase)]);
+    fn what_was_on_its_way_when_the_job_ended_is_in_the_first_line() {
+        let ended = |code: Code| {
+            let result = JobResult {
+                id: "a".into(),
+                status: JobStatus::Failed,
+                code: code.to_string(),
+                message: String::new(),
+                hint: String::new(),
+                moves: 0,
+                lower_bound: None,
+                seconds: 0.0,
+                times: Default::default(),
+                objects: Vec::new(),
+            };
+            JobRecord { ended_unix_s: Some(15.0), result: Some(result), ..JobRecord::sample("a") }
+        };
+        let (stopped, lost) = (ended(Code::ProtectiveStop), ended(Code::VacuumLost));
+        let earlier = JobRecord { ended_unix_s: Some(25.0), ..stopped.clone() };
+        let of = |job, phase| on_the_way(job, &[step(1, "lid", StepPhase::Done), step(2, "mug", phase)]);
         let on_its_way = Some("mug was gripped, on its way to its goal".to_string());
-        assert_eq!(of(StepPhase::Gripped), on_its_way);
-        assert_eq!(of(StepPhase::Released), on_its_way, "it was let go after the end");
-        assert_eq!((of(StepPhase::Done), of(StepPhase::Intent)), (None, None));
+        assert_eq!(of(&stopped, StepPhase::Gripped), on_its_way);
+        assert_eq!(of(&stopped, StepPhase::Released), on_its_way, "it was let go after the end");
+        assert_eq!(of(&earlier, StepPhase::Released), None);
+        assert_eq!((of(&stopped, StepPhase::Done), of(&stopped, StepPhase::Intent)), (None, None));
+        assert_eq!(of(&lost, StepPhase::Gripped), None, "what was lost is said already");
     }
 
     #[test]

@@ -30,6 +30,7 @@ use cell_vision::camera::CameraModel;
 use drawing::Drawing;
 use foxglove::messages::log::Level;
 use nalgebra::Isometry3;
+use said::Said;
 use serde_json::{Value, json};
 use std::path::Path;
 use std::sync::Arc;
@@ -74,6 +75,7 @@ pub struct Recorder {
     /// What the present file is of, and when it began; `None` before the first.
     open: Option<(Segment, Timestamp)>,
     moments: Vec<(Timestamp, Moment)>,
+    said: Said,
     /// Something was lost since the last turn: what follows needs the machine anew.
     gap: bool,
     /// What hangs on the gripper, and how.
@@ -129,6 +131,7 @@ impl Recorder {
             rests_by: Timestamp::ZERO,
             open: None,
             moments: Vec::new(),
+            said: Said::default(),
             gap: false,
             hanging: None,
             last_joints: Timestamp::ZERO,
@@ -210,7 +213,7 @@ impl Recorder {
         if let Effect::Commit { record: Record::Found { goals, .. }, .. } = effect {
             self.put(now, Entry::Goals(goals.clone()));
         }
-        if let Some((level, line)) = said::line(effect) {
+        if let Some((level, line)) = self.said.line(effect) {
             self.put(now, Entry::Log(level, line));
         }
         if self.decisions && self.open.is_some() {
@@ -258,8 +261,8 @@ impl Recorder {
         let over = segment == Segment::Idle && now.since(*since) >= IDLE_FILE;
         // How the arm came to rest belongs to the job that it ended.
         let comes_to_rest = self.moving && now < self.rests_by && matches!(present, Segment::Job(_));
-        if comes_to_rest && segment == Segment::Idle && !wanted {
-            return None;
+        if comes_to_rest && segment == Segment::Idle {
+            return wanted.then(|| present.clone());
         }
         (wanted || over || segment != *present).then_some(segment)
     }

@@ -6,7 +6,6 @@
 use crate::jobs::record::PlanRecord;
 use crate::jobs::utc;
 use cell_edge::files::{FileError, read_regular, write_whole};
-use cell_machine::orders::WayBack;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -49,7 +48,7 @@ pub struct Status {
     pub stopped: Option<Stopped>,
     /// The ways back that may be taken now; none where there is nothing to leave.
     #[serde(default)]
-    pub ways: Vec<WayBack>,
+    pub ways: Vec<String>,
     /// Why no job is begun although none is active.
     #[serde(default)]
     pub blocked: Option<String>,

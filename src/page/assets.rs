@@ -109,6 +109,7 @@ pub fn asset(path: &str, headers: &HeaderMap) -> Response {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use cell_machine::supervisor::gates::GateClosed;
     use std::collections::{BTreeMap, BTreeSet};
 
     fn file(name: &str) -> &'static str {
@@ -168,6 +169,38 @@ mod tests {
         }
     }
 
+    /// Every closed gate: its hint is in the status.
+    fn hints() -> Vec<GateClosed> {
+        use cell_machine::device::robot_types::Link;
+        use ur_wire::enumerations::{RobotMode, SafetyMode};
+        let safety = [
+            SafetyMode::RobotEmergencyStop,
+            SafetyMode::ProtectiveStop,
+            SafetyMode::SafeguardStop,
+            SafetyMode::Fault,
+            SafetyMode::Unknown(99),
+        ];
+        let others = [
+            GateClosed::Link(Link::Rtde),
+            GateClosed::Stale,
+            GateClosed::Mode(RobotMode::Booting),
+            GateClosed::Guided,
+            GateClosed::Local,
+            GateClosed::Program,
+            GateClosed::Paused,
+            GateClosed::NotPlaying(String::new()),
+            GateClosed::Disarmed,
+            GateClosed::Locked(String::new()),
+            GateClosed::Gripper,
+            GateClosed::GripperUnconfirmed,
+            GateClosed::Holding(9),
+            GateClosed::MayHang(String::new()),
+            GateClosed::NotObserved,
+            GateClosed::NotApproved,
+        ];
+        safety.map(GateClosed::Safety).into_iter().chain(others).collect()
+    }
+
     /// What the pages say that the cell answers, and what an operator reads after a fault, phrase by phrase.
     #[test]
     fn what_the_cell_says_is_there_in_german() {
@@ -178,7 +211,9 @@ mod tests {
         let reactions = include_str!("../../docs/reactions.md").lines().map(cells);
         let faults =
             reactions.filter(|row| row.len() >= 9 && row[0].starts_with(|c: char| c.is_ascii_digit()));
-        let sentences = answers.chain(faults.flat_map(|row| [row[6], row[7]]));
+        let hints = hints();
+        let hints = hints.iter().flat_map(|hint| [hint.hint(), hint.hint_before_arming()]);
+        let sentences = answers.chain(faults.flat_map(|row| [row[6], row[7]])).chain(hints);
         let phrases = sentences.flat_map(|text| text.split("; ").flat_map(|part| part.split(": ")));
         let phrases: BTreeSet<&str> = phrases.flat_map(|part| part.split(", then ")).collect();
         // A person names jobs as he likes.

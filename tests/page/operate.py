@@ -241,12 +241,18 @@ def a_click_on_a_busy_page_is_a_click(window):
 
 
 def ways_are_those_that_the_cell_takes(page, client):
-    """Which ways back can be pressed is what `What happened?` says, and what the status says."""
-    said = page.locator("#answer").inner_text()
-    refused = {way for way, label in WAYS.items() if f"not now: “{label}”" in said}
-    enabled = {way for way in WAYS if page.locator(f"#recover-{way}").is_enabled()}
-    named = set(client.status()["ways"])
-    check("the ways back that can be pressed are those that are not refused", enabled == set(WAYS) - refused == named, f"{enabled} {said}")
+    """Which ways back can be pressed is what `What happened?` says, and what the status says; each is of a moment
+    of its own, and they agree once the arm rests."""
+    until = time.monotonic() + LONG / 1000
+    while True:
+        page.click("#recover-show")
+        expect(page.locator("#answer")).to_contain_text("ways back")
+        said = page.locator("#answer").inner_text()
+        refused = {way for way, label in WAYS.items() if f"not now: “{label}”" in said}
+        enabled = {way for way in WAYS if page.locator(f"#recover-{way}").is_enabled()}
+        if enabled == set(WAYS) - refused == set(client.status()["ways"]) or time.monotonic() > until:
+            break
+    check("the ways back that can be pressed are those that are not refused", enabled == set(WAYS) - refused == set(client.status()["ways"]), f"{enabled} {said}")
     check("and what is held can be put down", "place" in enabled, said)
 
 

@@ -186,6 +186,19 @@ pub enum WayBack {
     Retreat,
 }
 
+impl WayBack {
+    /// As in the status and in `celld recover`.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            WayBack::Show => "show",
+            WayBack::Place => "place",
+            WayBack::Hold => "hold",
+            WayBack::Release => "release",
+            WayBack::Retreat => "retreat",
+        }
+    }
+}
+
 /// Who has to agree before the arm moves. Ordered by strictness: a job may only be stricter than the cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]

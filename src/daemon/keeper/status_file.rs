@@ -59,7 +59,7 @@ impl StateKeeper {
                 message: stop.message.clone(),
                 hint: stop.hint.clone(),
             }),
-            ways: status.ways.clone(),
+            ways: status.ways.iter().map(|way| way.as_str().to_string()).collect(),
             refused: self.refused.clone(),
             devices: status.devices.iter().map(|device| self.device(device)).collect(),
             fleet: self.remarks.lock().map(|remarks| remarks.clone()).unwrap_or_default(),

@@ -1,65 +1,71 @@
-//! What a recording says of an order's answer and of a job's progress: what is nobody's notice, and yet what
-//! a viewer looks for first.
+//! What a recording says of a job's progress and of orders that were refused: no notice of the cell has it,
+//! and a viewer looks for it first.
 //!
-//! In: an effect of the machine. Out: a line of the log topic, or none. Pure; the words are those of the
-//! job's story (`jobs::history`).
+//! In: the effects of the machine, in order. Out: a line of the log topic for some of them. A line is there
+//! when the record goes to the disk, and so before an object begins to move by it.
 
 use cell_machine::event::Effect;
 use cell_machine::supervisor::input::Record;
 use foxglove::messages::log::Level;
 use rearrange::planning::plan::ActionKind;
 
-/// The line for an effect.
-pub(super) fn line(effect: &Effect) -> Option<(Level, String)> {
-    match effect {
-        Effect::Commit { record, .. } => Some((Level::Info, progress(record)?)),
-        Effect::Reply { reply, .. } => {
-            // The situation before a way back has many lines.
-            let first = reply.message.lines().next().unwrap_or_default();
-            match reply.accepted {
-                true => Some((Level::Info, format!("an order is carried out: {first}"))),
-                false => Some((Level::Warning, format!("an order was refused: {first}"))),
-            }
-        }
-        Effect::Connect(_)
-        | Effect::Close(_)
-        | Effect::Send(..)
-        | Effect::Registers(_)
-        | Effect::Look { .. }
-        | Effect::Observe { .. }
-        | Effect::Picture { .. }
-        | Effect::Plan { .. }
-        | Effect::CancelPlan
-        | Effect::WantJob
-        | Effect::Notify(_)
-        | Effect::RoundOver(_)
-        | Effect::End(_) => None,
-    }
+/// What is needed of the effects before.
+#[derive(Debug, Default)]
+pub(super) struct Said {
+    /// Of the step that was meant last.
+    object: String,
 }
 
-/// What is written into the journal, in words; the job's end has a line of its own.
-fn progress(record: &Record) -> Option<String> {
-    Some(match record {
-        Record::Found { objects, goals } => {
-            format!("found {} objects on the table, {} of them with a goal", objects.len(), goals.len())
+impl Said {
+    /// The line for an effect.
+    pub(super) fn line(&mut self, effect: &Effect) -> Option<(Level, String)> {
+        match effect {
+            Effect::Commit { record, .. } => Some((Level::Info, self.progress(record)?)),
+            Effect::Reply { reply, .. } if !reply.accepted => {
+                let first = reply.message.lines().next().unwrap_or_default();
+                Some((Level::Warning, format!("an order was refused: {first}")))
+            }
+            // What an accepted order leads to has its notices and records.
+            Effect::Reply { .. }
+            | Effect::Connect(_)
+            | Effect::Close(_)
+            | Effect::Send(..)
+            | Effect::Registers(_)
+            | Effect::Look { .. }
+            | Effect::Observe { .. }
+            | Effect::Picture { .. }
+            | Effect::Plan { .. }
+            | Effect::CancelPlan
+            | Effect::WantJob
+            | Effect::Notify(_)
+            | Effect::RoundOver(_)
+            | Effect::End(_) => None,
         }
-        Record::Planned(note) if note.preview => format!("preview: {} pick-n-places", note.actions.len()),
-        Record::Planned(note) => format!("planned: {} pick-n-places", note.actions.len()),
-        Record::Approved => "a person approved a plan".to_string(),
-        Record::Intent { step, object, to, kind, .. } => {
-            let place = match kind {
-                ActionKind::Goal => "its goal",
-                ActionKind::Buffer => "a temporary place",
-            };
-            format!("{step}. {object} is to be moved to {place}, x {:.3} m, y {:.3} m", to.x, to.y)
-        }
-        Record::Gripped { step } => format!("{step}. was gripped"),
-        Record::Released { step } => format!("{step}. was let go"),
-        Record::Done { step } => format!("{step}. is done"),
-        Record::Withdrawn { step } => format!("{step}. is not begun"),
-        Record::LetGo => "what was gripped does not hang on the cups any more".to_string(),
-        Record::Ended(_) => return None,
-    })
+    }
+
+    /// What is written into the journal, in words; plans and the job's end have notices.
+    fn progress(&mut self, record: &Record) -> Option<String> {
+        Some(match record {
+            Record::Found { objects, goals } => {
+                format!("found {} objects on the table, {} of them with a goal", objects.len(), goals.len())
+            }
+            Record::Approved => "a person approved a plan".to_string(),
+            Record::Intent { step, object, to, kind, .. } => {
+                self.object.clone_from(object);
+                let place = match kind {
+                    ActionKind::Goal => "its goal",
+                    ActionKind::Buffer => "a temporary place",
+                };
+                format!("{step}. {object} is to be moved to {place}, x {:.3} m, y {:.3} m", to.x, to.y)
+            }
+            Record::Gripped { step } => format!("{step}. {} is gripped", self.object),
+            Record::Released { step } => format!("{step}. {} is let go", self.object),
+            Record::Done { step } => format!("{step}. {} is done", self.object),
+            Record::Withdrawn { step } => format!("{step}. {} is not begun", self.object),
+            Record::LetGo => "what was gripped does not hang on the cups any more".to_string(),
+            Record::Planned(_) | Record::Ended(_) => return None,
+        })
+    }
 }
 
 #[cfg(test)]
@@ -69,10 +75,8 @@ mod tests {
     use rearrange::geometry::pose::Pose2;
 
     #[test]
-    fn grips_approvals_and_answers_are_in_the_log() {
-        let commit = |record| line(&Effect::Commit { number: 1, record }).map(|(_, text)| text);
-        assert_eq!(commit(Record::Approved).as_deref(), Some("a person approved a plan"));
-        assert_eq!(commit(Record::Gripped { step: 2 }).as_deref(), Some("2. was gripped"));
+    fn grips_approvals_and_refusals_are_in_the_log() {
+        let mut said = Said::default();
         let intent = Record::Intent {
             step: 2,
             object: "mug".into(),
@@ -82,10 +86,19 @@ mod tests {
             tool_from_object: None,
             table: Vec::new(),
         };
-        let expected = "2. mug is to be moved to a temporary place, x 0.100 m, y 0.250 m";
-        assert_eq!(commit(intent).as_deref(), Some(expected));
-        let (level, text) = line(&Effect::Reply { number: 1, reply: Reply::refuse("why\nmore") }).unwrap();
-        assert_eq!((level, text.as_str()), (Level::Warning, "an order was refused: why"));
-        assert!(line(&Effect::WantJob).is_none());
+        let expected = [
+            (Record::Approved, "a person approved a plan"),
+            (intent, "2. mug is to be moved to a temporary place, x 0.100 m, y 0.250 m"),
+            (Record::Gripped { step: 2 }, "2. mug is gripped"),
+            (Record::Done { step: 2 }, "2. mug is done"),
+        ];
+        for (record, text) in expected {
+            let line = said.line(&Effect::Commit { number: 1, record });
+            assert_eq!(line, Some((Level::Info, text.to_string())));
+        }
+        let mut answer = |reply| said.line(&Effect::Reply { number: 1, reply });
+        let refused = answer(Reply::refuse("why\nmore"));
+        assert_eq!(refused, Some((Level::Warning, "an order was refused: why".to_string())));
+        assert_eq!(answer(Reply::accept("armed")), None, "the cell has a notice of it");
     }
 }

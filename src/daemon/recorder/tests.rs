@@ -8,6 +8,7 @@ use crate::daemon::carried::tests::estimate;
 use crate::io::recording::read::{Entry as Read, Item, Items};
 use cell_machine::event::Arm;
 use cell_machine::machine::Machine;
+use cell_machine::orders::Reply;
 use cell_machine::supervisor::input::Notice;
 use cell_machine::supervisor::model::CellModel;
 use cell_motion::bodies::Load;
@@ -122,6 +123,21 @@ fn named(folder: &Path, start: &str) -> usize {
     files(folder).iter().filter(|path| name(path).starts_with(start)).count()
 }
 
+#[test]
+fn a_job_s_progress_and_refused_orders_are_lines_of_the_log() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    let mut recorder = Recorder::create(&path, RecordedPictures::Off, None);
+    turn(&mut recorder, &mut machine(), at(0.0));
+    let approved = Effect::Commit { number: 1, record: Record::Approved };
+    let refused = Effect::Reply { number: 2, reply: Reply::refuse("no") };
+    for effect in [approved, refused, Effect::WantJob] {
+        recorder.on(at(0.1), &Scene::Effect(&effect));
+    }
+    assert_eq!(recorder.close(), None);
+    assert_eq!(on(&path, "/log"), 2);
+}
+
 /// A job has a file of its own, and of the time without one only the last files stay.
 #[test]
 fn each_job_has_its_file_and_the_time_without_one_a_ring() {
@@ -160,7 +176,7 @@ fn each_job_has_its_file_and_the_time_without_one_a_ring() {
 fn the_file_of_a_job_ends_once_the_arm_rests() {
     let folder = tempfile::tempdir().unwrap();
     let mut recorder = start(&config(folder.path(), 1 << 30, 0), None).unwrap();
-    let mut machine = machine();
+    let (mut machine, shared) = (machine(), Arc::clone(&recorder.shared));
     let mut pass = |now: f64, job: Option<&str>, moving: bool| {
         let status = Status { job: job.map(str::to_string), moving, ..Status::idle() };
         recorder.on(at(now), &Scene::Status(&status));
@@ -170,6 +186,8 @@ fn the_file_of_a_job_ends_once_the_arm_rests() {
     let job = |id: &str| Some(Segment::Job(id.to_string()));
     assert_eq!(pass(0.0, Some("a"), true), job("a"));
     assert_eq!(pass(1.0, None, true), job("a"), "it brakes");
+    shared.wants_file.store(true, Ordering::Relaxed);
+    assert_eq!(pass(1.5, None, true), job("a"), "in the next file, where one is due");
     assert_eq!(pass(2.0, None, false), Some(Segment::Idle));
     assert_eq!(pass(3.0, None, true), Some(Segment::Idle), "another motion is no part of it");
     assert_eq!(pass(4.0, Some("b"), true), job("b"));

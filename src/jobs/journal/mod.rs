@@ -406,7 +406,7 @@ impl Journal {
         unix_s: f64,
     ) -> Result<(), JournalError> {
         let update = "UPDATE jobs SET found = coalesce(found, ?2), resolved = coalesce(resolved, ?3),
-                      found_at = coalesce(found_at, ?4) WHERE id = ?1 AND state IN ('waiting','active')";
+                      found_at = CASE WHEN found IS NULL THEN ?4 ELSE found_at END WHERE id = ?1 AND state IN ('waiting','active')";
         self.change(id, "note what it found", update, params![id, encode(&objects), encode(&goals), unix_s])
     }
 

@@ -292,7 +292,35 @@ fn a_database_of_version_1_is_read_as_it_is_and_brought_up_by_the_daemon() {
     journal.start("waits", NOW).unwrap();
     journal.found("waits", &[], &[], NOW).unwrap();
     drop(journal);
-    assert_eq!(Journal::open(&path).unwrap().read_version().unwrap(), SCHEMA_VERSION);
+    let mut journal = Journal::open(&path).unwrap();
+    assert_eq!(journal.read_version().unwrap(), SCHEMA_VERSION);
+    // What an older celld found has no time, whatever a second look shows.
+    journal.database.execute_batch("UPDATE jobs SET found_at = NULL").unwrap();
+    journal.found("waits", &[], &[], NOW + 9.0).unwrap();
+    assert_eq!(journal.job("waits").unwrap().unwrap().found_unix_s, None);
+}
+
+#[test]
+fn a_database_of_any_version_is_read_as_it_is_and_brought_up() {
+    for version in 2..SCHEMA_VERSION {
+        let (_folder, path) = folder();
+        let database = rusqlite::Connection::open(&path).unwrap();
+        database.execute_batch(include_str!("version-1.sql")).unwrap();
+        for older in 1..version {
+            database.execute_batch(MIGRATIONS[older as usize - 1]).unwrap();
+        }
+        database.execute_batch(&format!("PRAGMA user_version={version}")).unwrap();
+        drop(database);
+        let check = |journal: &Journal| {
+            let job = journal.job("tidy").unwrap().unwrap();
+            assert_eq!((job.found_unix_s, job.approved_unix_s), (None, None));
+            assert_eq!(journal.steps("tidy").unwrap().len(), 1);
+        };
+        check(&Journal::open_to_read(&path).unwrap());
+        let journal = Journal::open(&path).unwrap();
+        check(&journal);
+        assert_eq!(journal.read_version().unwrap(), SCHEMA_VERSION, "from {version}");
+    }
 }
 
 #[test]

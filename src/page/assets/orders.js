@@ -36,7 +36,7 @@ export function hold(label, act, attributes = {}) {
     const letGo = event.type === "pointerup" || event.type === "keyup";
     const held = letGo && event.timeStamp - since >= HOLD_MS;
     // Who only clicks sees why nothing came of it.
-    if (letGo && !held) clicked(label);
+    if (letGo && !held) missed(label, t("nothing was ordered: hold the button down for a second"));
     over(held);
   };
   const over = (held) => {
@@ -45,8 +45,10 @@ export function hold(label, act, attributes = {}) {
     window.removeEventListener("pointerup", end);
     window.removeEventListener("pointercancel", end);
     button.classList.remove("holding");
+    if (!held) return;
     // A button that was replaced meanwhile is not held any more, whatever the finger does.
-    if (held && button.isConnected && !button.disabled) act();
+    if (button.isConnected && !button.disabled) act();
+    else missed(label, t("nothing was ordered: it cannot be done now"));
   };
   button.addEventListener("pointerdown", begin);
   for (const kind of ["pointerup", "pointerleave", "pointercancel", "blur", "keyup"]) button.addEventListener(kind, end);
@@ -77,9 +79,9 @@ export function answered(what, { accepted, message }, { stops = false, stays = f
   if (accepted && !stays) setTimeout(() => said.remove(), OLD_MS);
 }
 
-/** Who only clicks a button that is to be held sees why nothing came of it. */
-function clicked(what) {
-  const said = h("p", { class: "note wrong", id: "answer-click" }, h("strong", {}, what + ": "), t("nothing was ordered: hold the button down for a second"));
+/** Who presses a button that is to be held sees why nothing came of it. */
+function missed(what, why) {
+  const said = h("p", { class: "note wrong", id: "answer-click" }, h("strong", {}, what + ": "), why);
   note.replaceChildren(said);
   setTimeout(() => said.remove(), NOTE_MS);
 }
@@ -103,14 +105,26 @@ function button(label, command, enabled, attributes = {}) {
 }
 
 function ways(status) {
-  // What may be taken now says the cell; “What happened?” names what is in the way of the others.
-  const way = (how, label) => hold(label, () => give(label, { do: "recover", how }), { id: "recover-" + how, disabled: state.stale || !may("operate") || !status.ways.includes(how) });
-  return h("div", {}, h("h3", {}, t("Leave the stop")),
+  const way = (how, label) => hold(label, () => give(label, { do: "recover", how }), { id: "recover-" + how, "data-way": how });
+  const element = h("div", {}, h("h3", {}, t("Leave the stop")),
     h("div", { class: "row" },
       h("button", { type: "button", id: "recover-show", disabled: state.stale || !may("operate"), click: () => give(t("Leave the stop"), { do: "recover", how: "show" }) }, t("What happened?")),
       way("place", t("Put it down")), way("hold", t("Keep holding")), way("retreat", t("Straight up")), way("release", t("Let go (hold it by hand)"))),
     h("p", { class: "soft" }, t("A way back is held down for a second. Each is your word that the cell is safe; afterwards it is disarmed.")));
+  allow(element, status);
+  return element;
 }
+
+/** The cell says which ways may be taken now; “What happened?” names what is in the way of the others. That may
+    change with every reading, so the buttons stay: one that is held down is not replaced. */
+function allow(element, status) {
+  for (const button of element.querySelectorAll("[data-way]")) {
+    button.disabled = state.stale || !may("operate") || !status.ways.includes(button.dataset.way);
+  }
+}
+
+/** There is a stop to leave, or something may hang on the gripper although the stop was left. */
+const leaves = (status) => Boolean(!status.armed && (status.stopped || status.ways.length || (status.holding && !status.moving)));
 
 function approval(status) {
   const waiting = status.awaiting_approval[0];
@@ -147,8 +161,8 @@ export function orders() {
   const draw = () => {
     const status = state.status;
     if (!status) return;
-    const key = JSON.stringify([status.armed, status.paused, status.job, status.state, status.stopped, status.awaiting_approval, status.plan?.unix_s, status.holding, status.ways, status.moving && (!status.armed || status.paused), state.stale, state.control, state.me]);
-    if (key === drawn) return;
+    const key = JSON.stringify([status.armed, status.paused, status.job, status.state, status.stopped, status.awaiting_approval, status.plan?.unix_s, status.holding, leaves(status), status.moving && (!status.armed || status.paused), state.stale, state.control, state.me]);
+    if (key === drawn) return allow(body, status);
     drawn = key;
     const can = may("operate") && !state.stale && status.state !== "starting";
     const holder = state.control;
@@ -170,8 +184,7 @@ export function orders() {
         button(t("Park"), { do: "park" }, can && status.armed && !status.job),
         status.job && button(t("Cancel the job"), { do: "cancel", id: status.job }, can),
         hold(t("Release the vacuum"), () => give(t("Release"), { do: "release", channel: null }), { id: "order-release", disabled: !can })),
-      // Something may hang on the gripper although the stop was left.
-      !status.armed && (status.stopped || status.ways.length > 0 || (status.holding && !status.moving)) && ways(status));
+      leaves(status) && ways(status));
   };
   const stops = [on("status", settled), on("status", draw), on("stale", () => { drawn = ""; draw(); }), on("control", draw), on("me", draw)];
   draw();

@@ -56,7 +56,7 @@ function phrase(text) {
   return filled(text, false) ?? filled(text, true) ?? text;
 }
 
-/** The phrase of the table with what the text has in its holes. What a job is called only its place says. */
+/** The phrase of the table with what the text has in its holes. A job is known by the word before its name. */
 function filled(text, jobs) {
   const escaped = names.map((name) => name.replace(/[.*+?^${}()|[\]\\]/g, "\\$&"));
   const named = escaped.length ? `(?<![\\w-])(?:${escaped.join("|")})(?![\\w-])|` : "";

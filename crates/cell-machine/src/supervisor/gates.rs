@@ -22,6 +22,12 @@ impl GateClosed {
             .map_or_else(|| hint.to_string(), |first| format!("{first}then try again"))
     }
 
+    /// What comes before the arming that the hint ends in.
+    pub fn hint_before_arming(&self) -> &'static str {
+        let hint = self.hint();
+        hint.strip_suffix("then `celld arm`").map_or(hint, |first| first.trim_end_matches([' ', ',', ';']))
+    }
+
     /// What a person can do about it.
     pub fn hint(&self) -> &'static str {
         match self {

@@ -176,12 +176,23 @@ impl Supervisor {
 
     /// What is missing, and what to do before the next try.
     fn not_armed_for(&self, closed: &GateClosed) -> String {
-        if let Some(taken) = self.registers_taken().filter(|_| *closed == GateClosed::Stale) {
-            return format!("not armed: {taken}; end it or take the registers from it, then `celld arm`");
+        if let Some(taken) = self.taken_from(closed) {
+            return format!("not armed: {taken}, then `celld arm`");
         }
         let hint = closed.hint();
         let again = if hint.contains("celld arm") { "" } else { "; then `celld arm`" };
         format!("not armed: {}; {hint}{again}", self.place(closed))
+    }
+
+    /// What a person does before an arming that this gate refuses.
+    pub(crate) fn before_arming(&self, closed: &GateClosed) -> String {
+        self.taken_from(closed).unwrap_or_else(|| closed.hint_before_arming().to_string())
+    }
+
+    /// The robot sends no state to a client that waits for inputs which another one has.
+    fn taken_from(&self, closed: &GateClosed) -> Option<String> {
+        let taken = self.registers_taken().filter(|_| *closed == GateClosed::Stale)?;
+        Some(format!("{taken}; end it or take the registers from it"))
     }
 
     /// A pick-n-place under way is finished, then nothing moves; the person who disarms may put hands on the

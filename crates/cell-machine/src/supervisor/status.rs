@@ -282,17 +282,23 @@ impl Supervisor {
     /// and what has to be done before an arming that would be refused.
     pub fn status_with(&self, devices: &DeviceSnapshot) -> Status {
         let status = self.status();
-        let hint = self.before_arming(devices).unwrap_or(status.hint);
-        Status { ways: self.ways_now(devices), devices: self.device_notes(devices), hint, ..status }
+        let (ways, notes) = (self.ways_now(devices), self.device_notes(devices));
+        Status { ways, devices: notes, hint: self.hint_with(devices, status.hint), ..status }
     }
 
-    /// Where arming is what is next and would be refused: what comes first.
-    fn before_arming(&self, devices: &DeviceSnapshot) -> Option<String> {
-        let next = self.doing() == Doing::Waiting(GateClosed::Disarmed) && self.back.last_stop.is_none();
-        // What may hang on the gripper has its hint already.
-        let hangs = self.holding_words().is_some() || self.back.grips;
-        let closed = self.may_arm(devices).err().filter(|_| next && !hangs)?;
-        Some(closed.hint().to_string())
+    /// The hint; where it leads to an arming that would be refused, behind what has to be done first.
+    fn hint_with(&self, devices: &DeviceSnapshot, hint: String) -> String {
+        if self.mode.armed() || !hint.contains("`celld arm`") {
+            return hint;
+        }
+        match self.may_arm(devices) {
+            // What may hang on the gripper has its hint already.
+            Ok(()) | Err(GateClosed::Holding(_) | GateClosed::MayHang(_)) => hint,
+            Err(closed) => match self.before_arming(&closed) {
+                first if hint.contains(&first) => hint,
+                first => format!("{first}; {hint}"),
+            },
+        }
     }
 
     /// What is under way, a stop that is not confirmed whatever the phase, the way to the park pose that a

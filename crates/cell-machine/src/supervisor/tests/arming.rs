@@ -1,9 +1,15 @@
 //! What arming needs, what its answer says, and that it is never made up for later.
 
 use super::*;
+use crate::code::Code;
+use crate::device::robot_types::InputsTaken;
 use crate::orders::WayBack;
-use crate::supervisor::back::Held;
+use crate::supervisor::back::{Held, LastStop};
 use crate::supervisor::gates::GateClosed;
+use crate::supervisor::mode::Mode;
+use cell_motion::bodies::Load;
+use cell_motion::put_down::Grasp;
+use std::f64::consts::FRAC_PI_2;
 
 /// What is missing, and a word of the answer that names it.
 type Missing = (&'static str, fn(&mut Bench));
@@ -67,34 +73,84 @@ fn a_way_back_that_is_refused_names_no_order_that_is_refused_too() {
     assert!(refused > 10, "{refused}");
 }
 
-/// Who reads the status is not sent to arm a cell that refuses it.
+/// Who reads the status is not sent to arm a cell that refuses it, whether it was stopped before or not.
 #[test]
 fn what_an_arming_lacks_comes_before_it_in_the_hint() {
-    for (word, remove) in MISSING {
-        let mut bench = Bench::new();
-        bench.job(false);
-        bench.ticks(1);
-        let hint = |bench: &Bench| bench.cell.status_with(&bench.devices(&bench.robot)).hint;
-        assert_eq!(hint(&bench), GateClosed::Disarmed.hint());
-        remove(&mut bench);
-        let refused = bench.cell.may_arm(&bench.devices(&bench.robot)).expect_err(word);
-        assert_eq!(hint(&bench), refused.hint(), "{word}");
+    let stop = |keeps_job: bool| LastStop {
+        at: (!keeps_job).then_some(Timestamp::ZERO),
+        reason: Code::VacuumLost.because("a was lost", "see where it lies"),
+        keeps_job,
+    };
+    for last_stop in [None, Some(stop(true)), Some(stop(false))] {
+        for (word, remove) in MISSING {
+            let mut bench = Bench::new();
+            bench.job(false);
+            bench.cell.back.last_stop.clone_from(&last_stop);
+            bench.ticks(1);
+            let hint = |bench: &Bench| bench.cell.status_with(&bench.devices(&bench.robot)).hint;
+            let before = hint(&bench);
+            assert_eq!(before.contains("`celld arm`"), last_stop.as_ref().is_none_or(|stop| stop.keeps_job));
+            remove(&mut bench);
+            bench.ticks(1);
+            let closed = bench.cell.may_arm(&bench.devices(&bench.robot)).expect_err(word);
+            let expected = match closed {
+                GateClosed::Holding(_) => bench.cell.status().hint,
+                _ if !before.contains("`celld arm`") => before,
+                _ => format!("{}; {before}", closed.hint_before_arming()),
+            };
+            assert_eq!(hint(&bench), expected, "{word}");
+        }
     }
+    let mut bench = Bench::new();
+    bench.job(false);
+    bench.ticks(1);
+    bench.vacuum = [0.0, 0.4];
+    bench.ticks(1);
+    assert!(bench.cell.status().hint.contains("`celld recover` shows"), "{}", bench.cell.status().hint);
+}
+
+/// A client that holds the inputs is named; the controller answers a `ping`.
+#[test]
+fn a_client_that_holds_the_inputs_comes_before_arming_in_the_hint() {
+    let mut bench = Bench::new();
+    bench.job(false);
+    let taken = InputsTaken { names: vec!["input_int_register_24".to_string()], celld: None };
+    bench.feed(Input::Robot(RobotEvent::InputInUse { taken, attempt: 1 }));
+    bench.silent = true;
+    bench.ticks(1);
+    let hint = bench.cell.status_with(&bench.devices(&bench.robot)).hint;
+    assert!(hint.contains("take the registers from it") && !hint.contains("ping"), "{hint}");
+}
+
+/// An object that hangs as celld has gripped it.
+fn held() -> Held {
+    let footprint = Footprint::rectangle(0.06, 0.06).expect("valid");
+    let load = Load { name: "a".into(), footprint, tool_from_object: Pose2::default(), height: 0.02 };
+    let (object, to) = ("a".to_string(), Pose2::new(0.35, 0.3, 0.0));
+    let grasp = Some(Grasp::remembered(load, 20.0));
+    Held { object, grasp, height: 0.02, mass: 0.1, hold: 20.0, to, let_go: false }
 }
 
 /// A page offers what the status names, and nothing else.
 #[test]
 fn the_ways_in_the_status_are_those_that_the_cell_takes() {
-    let (mut offered, mut refused) = (0, 0);
-    let whole: Missing = ("nothing", |_| {});
-    for (word, remove) in MISSING.iter().chain([&whole]) {
+    let (mut offered, mut refused) = (Vec::new(), 0);
+    let others: &[Missing] = &[
+        ("nothing", |_| {}),
+        ("a stop before this start", |bench| {
+            let reason = Code::Aborted.because("the operator aborted", "");
+            bench.cell.back.last_stop = Some(LastStop { at: None, reason, keeps_job: false });
+        }),
+        ("the arm moves", |bench| bench.robot.qd[0] = 0.4),
+        ("locked", |bench| bench.cell.mode = Mode::Locked("another arm".to_string())),
+    ];
+    for (word, remove) in MISSING.iter().chain(others) {
         for vacuum in [[0.01, 0.0], [0.5, 0.0]] {
             let bench = || {
                 let mut bench = Bench::new();
-                let (object, to) = ("b".to_string(), Pose2::default());
-                let held =
-                    Held { object, grasp: None, height: 0.02, mass: 0.1, hold: 1.0, to, let_go: false };
-                (bench.vacuum, bench.cell.back.held) = (vacuum, Some(held));
+                // The tool points straight down: what hangs there can be put down.
+                bench.robot.q = Joints([-1.6, -1.6, 1.9, -FRAC_PI_2 - 0.3, -FRAC_PI_2, 0.0]);
+                (bench.vacuum, bench.cell.back.held) = (vacuum, Some(held()));
                 bench.ticks(3);
                 remove(&mut bench);
                 bench
@@ -104,11 +160,13 @@ fn the_ways_in_the_status_are_those_that_the_cell_takes() {
             for way in [WayBack::Place, WayBack::Hold, WayBack::Release, WayBack::Retreat] {
                 let taken = answer(&bench().feed(order(Order::Recover(way)))).is_none_or(|one| one.accepted);
                 assert_eq!(ways.contains(&way), taken, "{word}, {vacuum:?}: {way:?}");
-                (offered, refused) = (offered + usize::from(taken), refused + usize::from(!taken));
+                offered.extend(taken.then_some(way));
+                refused += usize::from(!taken);
             }
         }
     }
-    assert!(offered > 10 && refused > 50, "{offered} {refused}");
+    let all = [WayBack::Place, WayBack::Hold, WayBack::Release, WayBack::Retreat];
+    assert!(all.iter().all(|way| offered.contains(way)) && refused > 50, "{offered:?} {refused}");
     let mut bench = Bench::new();
     bench.ticks(3);
     assert_eq!(bench.cell.status_with(&bench.devices(&bench.robot)).ways, [], "there is nothing to leave");
