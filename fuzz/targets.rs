@@ -78,8 +78,8 @@ fn simulator_with(drive: Drive) -> Simulator {
     Simulator::new(controller, world, 1, Vec::new()).expect("a sound cell")
 }
 
-/// Sends to a server of the simulator, `frames` frames after each of the first pieces; `received` gets what it sends, in
-/// the pieces in which it sends it. The client then leaves.
+/// Sends to a server of the simulator, `frames` frames after each of the first pieces; `received` gets what
+/// it sends, in the pieces in which it sends it. The client then leaves.
 fn talk(port: Port, data: &[u8], frames: usize, received: impl FnMut(&[u8])) -> Simulator {
     talk_to(simulator(), port, data, frames, received)
 }

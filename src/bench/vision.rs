@@ -2,8 +2,9 @@
 //! long it takes.
 //!
 //! In: how many frames, a seed, detector settings. Out: [`Report`]. Frames are drawn by `vision-pictures`
-//! from `scene`'s tables, five views a table; `perception` looks at them as in the cell. Accuracy is reported
-//! with the lens's true numbers and with those that a calibration from board pictures found (`calibrated`);
+//! from `scene`'s tables, five views a table; `perception` looks at them as in the cell. Accuracy is
+//! reported with the lens's true numbers and with those that a calibration from board pictures found
+//! (`calibrated`);
 //! times are those of one frame on a core, beside a plain call of the C library on the same frame. Beside it
 //! are the figures of drift (`drift`), of what carries no marker (`foreign`), of the camera's mount
 //! (`hand_eye`), of poor pictures (`degraded`) and of pictures without markers (`empty`).

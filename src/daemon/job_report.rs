@@ -197,7 +197,8 @@ mod tests {
             tool_from_object: None,
             table: Vec::new(),
         };
-        StepRecord { step, intent, phase, changed_unix_s: 10.0 * f64::from(step), gripped_unix_s: None }
+        let changed_unix_s = 10.0 * f64::from(step);
+        StepRecord { step, intent, phase, changed_unix_s, gripped_unix_s: None, note: None }
     }
 
     #[test]

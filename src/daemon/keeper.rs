@@ -338,8 +338,8 @@ impl StateKeeper {
             return Ok(());
         }
         let now = unix_now_s();
-        if let Record::LetGo = record {
-            self.journal.let_go(now)?;
+        if let Record::LetGo { how } = record {
+            self.journal.let_go(how, now)?;
             return self.forget_a_closed_step();
         }
         let Some((id, open)) = &mut self.active else { return Ok(()) };
@@ -382,7 +382,7 @@ impl StateKeeper {
                 | Record::Withdrawn { .. },
                 None,
             )
-            | (Record::LetGo | Record::Ended(_), _) => Ok(()),
+            | (Record::LetGo { .. } | Record::Ended(_), _) => Ok(()),
         }
     }
 }
@@ -523,7 +523,7 @@ mod tests {
             if gripped {
                 keeper.commit(&Record::Gripped { step: 0 }).unwrap();
             }
-            keeper.commit(&Record::LetGo).unwrap();
+            keeper.commit(&Record::LetGo { how: String::new() }).unwrap();
         }
         keeper.commit(&intent()).unwrap();
         keeper.commit(&Record::Done { step: 0 }).unwrap();
@@ -545,7 +545,7 @@ mod tests {
             let cut_off = open(&state).cut_off().unwrap_or_else(|| panic!("start {start}"));
             assert!(cut_off.carrying && cut_off.object == "lid", "{cut_off:?}");
         }
-        open(&state).commit(&Record::LetGo).unwrap();
+        open(&state).commit(&Record::LetGo { how: String::new() }).unwrap();
         assert_eq!(open(&state).cut_off(), None, "it was taken off by hand");
     }
 

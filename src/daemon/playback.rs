@@ -5,7 +5,7 @@
 //! that is carried is where the tool takes it; one that was put down stays there until it is seen again.
 
 use crate::daemon::carried::{Carried, CarriedView};
-use crate::daemon::recorder::piece_of;
+use crate::daemon::recorder::{Said, piece_of};
 use crate::io::recording::read::{Entry, Item, Items};
 use crate::io::recording::{ABOUT, log_time_at};
 use crate::report::colour;
@@ -26,6 +26,7 @@ use cell_values::units::{Joints, mm_from_m};
 use cell_vision::observe::Observation;
 use foxglove::Decode;
 use foxglove::messages::CompressedImage;
+use foxglove::messages::log::Level;
 use nalgebra::Point3;
 use rearrange::geometry::pose::Pose2;
 use std::fs::File;
@@ -55,6 +56,7 @@ pub struct Playback {
     /// The object on the gripper.
     held: Option<String>,
     carried: Carried,
+    said: Said,
 }
 
 impl Playback {
@@ -146,6 +148,9 @@ impl Playback {
     /// What the machine has decided.
     fn effect(&mut self, at: Timestamp, effect: &Effect) {
         let seconds = self.seconds(at);
+        if let Some((level, line)) = self.said.line(effect) {
+            self.say(seconds, level == Level::Warning, line);
+        }
         let Effect::Notify(news) = effect else { return };
         match news {
             News::Notice(notice) => self.say(seconds, notice.alarm, notice.text.clone()),

@@ -10,6 +10,7 @@ mod drawing;
 mod said;
 mod tape;
 
+pub use said::Said;
 pub use tape::{piece_of, topic_of};
 
 use crate::config::cell::{RecordedPictures, RecordingConfig};
@@ -30,7 +31,6 @@ use cell_vision::camera::CameraModel;
 use drawing::Drawing;
 use foxglove::messages::log::Level;
 use nalgebra::Isometry3;
-use said::Said;
 use serde_json::{Value, json};
 use std::path::Path;
 use std::sync::Arc;

@@ -142,8 +142,12 @@ mod tests {
         let stepped = Status { step: Some((1, 2)), ..planned.clone() };
         assert_eq!(events(&planned, &stepped), [(Some("a".to_string()), What::Step { step: 1, of: 2 })]);
         assert_eq!(events(&stepped, &stepped), []);
-        let stopped =
-            Stopped { code: "vacuum_lost".into(), message: "mug was lost".into(), hint: String::new() };
+        let stopped = Stopped {
+            code: "vacuum_lost".into(),
+            message: "mug was lost".into(),
+            hint: String::new(),
+            job: None,
+        };
         let stopped = Status { stopped: Some(stopped), job: None, step: None, plan: None, ..idle() };
         let reported = events(&stepped, &stopped);
         assert!(

@@ -3,7 +3,7 @@
 //! In: the status before and now. Out: sentences, the most important first; none where nothing that a person
 //! follows has changed. Pure.
 
-use crate::jobs::status::{DeviceStatus, RefusedFile, Status, Stopped};
+use crate::jobs::status::{DeviceStatus, RefusedFile, Status};
 
 /// The lines that are new in `now`.
 pub fn changes(before: &Status, now: &Status) -> Vec<String> {
@@ -18,15 +18,18 @@ pub fn changes(before: &Status, now: &Status) -> Vec<String> {
     if before.moving && !now.moving && !now.armed && now.daemon == before.daemon {
         lines.push("the arm is at rest".to_string());
     }
-    if let Some(Stopped { code, message, .. }) =
-        now.stopped.as_ref().filter(|_| now.stopped != before.stopped)
-    {
-        lines.push(format!("stopped: {message} ({code})"));
+    if now.paused != before.paused {
+        let pausing = if now.moving { "pausing; what is under way is finished first" } else { "paused" };
+        lines.push(if now.paused { pausing } else { "the pause is over" }.to_string());
+    }
+    if let Some(stopped) = now.stopped.as_ref().filter(|_| now.stopped != before.stopped) {
+        lines.push(stopped.text(before.job.as_deref().or(now.job.as_deref())));
     }
     if now.job != before.job {
         match (&before.job, &now.job) {
-            (_, Some(job)) => lines.push(format!("job {job} is taken up")),
-            (Some(job), None) => lines.push(format!("job {job} has ended: `celld why {job}`")),
+            (None, Some(job)) => lines.push(taken_up(job)),
+            (Some(job), None) => lines.push(ended(job)),
+            (Some(last), Some(job)) => lines.extend([ended(last), taken_up(job)]),
             (None, None) => {}
         }
     }
@@ -70,9 +73,18 @@ fn devices(before: &Status, now: &Status) -> Vec<String> {
     changed.map(words).collect()
 }
 
+fn taken_up(job: &str) -> String {
+    format!("job {job} is taken up")
+}
+
+fn ended(job: &str) -> String {
+    format!("job {job} has ended: `celld why {job}`")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::jobs::status::Stopped;
 
     #[test]
     fn a_refused_file_is_said_once() {
@@ -85,6 +97,18 @@ mod tests {
             ["a.yaml was refused (bad): no goal; `celld why a.yaml` has all of it"]
         );
         assert_eq!(changes(&refused, &refused), Vec::<String>::new());
+    }
+
+    #[test]
+    fn a_pause_and_the_end_of_a_job_that_another_one_follows_are_said() {
+        let stop = Stopped { code: "protective_stop".into(), job: Some("a".into()), ..Stopped::default() };
+        let first = Status { armed: true, moving: true, job: Some("a".into()), ..Status::default() };
+        let pausing = Status { paused: true, ..first.clone() };
+        assert_eq!(changes(&first, &pausing), ["pausing; what is under way is finished first"]);
+        let next = Status { job: Some("b".into()), ..first.clone() };
+        assert_eq!(changes(&first, &next), ["job a has ended: `celld why a`", "job b is taken up"]);
+        assert_eq!(stop.text(next.job.as_deref()), "stopped in job a:  (protective_stop)");
+        assert_eq!(stop.text(first.job.as_deref()), "stopped:  (protective_stop)");
     }
 
     #[test]
@@ -119,8 +143,12 @@ mod tests {
             message: "answers".into(),
             ..DeviceStatus::default()
         };
-        let stop =
-            Stopped { code: "aborted".into(), message: "a person stopped it".into(), hint: String::new() };
+        let stop = Stopped {
+            code: "aborted".into(),
+            message: "a person stopped it".into(),
+            hint: String::new(),
+            job: None,
+        };
         let with = Status { devices: vec![device(true)], ..working.clone() };
         let stopped = Status {
             armed: false,

@@ -131,9 +131,13 @@ fn head(job: &JobRecord, is_last: bool) -> String {
     text
 }
 
-/// How far the object of a step came.
-fn how_far(StepRecord { intent, phase, .. }: &StepRecord) -> String {
-    reached(intent, *phase)
+/// How far the object of a step came, and what became of it where it did not come to its place.
+fn how_far(StepRecord { intent, phase, note, .. }: &StepRecord) -> String {
+    let far = reached(intent, *phase);
+    match note.as_deref().filter(|note| !note.is_empty()) {
+        Some(note) => format!("{far}: {note}"),
+        None => far,
+    }
 }
 
 /// How far it had come when its job ended: what is taken off the cups afterwards is no part of the job.
@@ -159,7 +163,7 @@ fn reached(intent: &StepIntent, phase: StepPhase) -> String {
         StepPhase::Intent => format!("was to be moved to {to}: begun, how far is not known"),
         StepPhase::Gripped => format!("was gripped, on its way to {to}"),
         // By a way back or by hand it may have been let go anywhere, and may have fallen before.
-        StepPhase::Released => format!("was off the gripper; it was meant for {to}"),
+        StepPhase::Released => format!("was off the gripper on its way to {to}"),
         StepPhase::Abandoned => format!("was to be moved to {to}; given up"),
     }
 }
@@ -177,23 +181,27 @@ fn objects(job: &JobRecord, steps: &[StepRecord]) -> String {
     for object in &result.objects {
         let state = match (object.error_mm, object.error_deg) {
             (Some(mm), Some(deg)) => format!("{mm:.1} mm and {deg:.1} degrees from its goal, as seen last"),
-            _ => unseen(&object.id, steps).to_string(),
+            _ => unseen(&object.id, steps),
         };
         let _ = writeln!(text, "  {}: {state}", object.id);
     }
     text
 }
 
-/// Of an object without a measured place: why.
-pub fn unseen(object: &str, steps: &[StepRecord]) -> &'static str {
-    match hung_since_it_was_seen(object, steps) {
-        true => "not seen since it was gripped",
-        false => "not seen",
+/// Of an object without a measured place: why, and what became of it as far as is known.
+pub fn unseen(object: &str, steps: &[StepRecord]) -> String {
+    if !hung_since_it_was_seen(object, steps) {
+        return "not seen".to_string();
+    }
+    let last = steps.iter().rev().find(|step| step.intent.object == object);
+    match last.and_then(|step| step.note.as_deref()).filter(|note| !note.is_empty()) {
+        Some(note) => format!("not seen since it was gripped; {note}"),
+        None => "not seen since it was gripped".to_string(),
     }
 }
 
 /// Whether an object without a measured place has one that is known no more, since it was on the cups.
-pub fn hung_since_it_was_seen(object: &str, steps: &[StepRecord]) -> bool {
+fn hung_since_it_was_seen(object: &str, steps: &[StepRecord]) -> bool {
     steps.iter().any(|step| {
         let was_on_the_cups = match step.phase {
             StepPhase::Gripped | StepPhase::Released | StepPhase::Done => true,
@@ -239,6 +247,7 @@ mod tests {
             phase: StepPhase::Gripped,
             changed_unix_s: NOW + 20.0,
             gripped_unix_s: Some(NOW + 20.0),
+            note: None,
         }
     }
 
@@ -249,6 +258,7 @@ mod tests {
             phase: StepPhase::Released,
             changed_unix_s: NOW + 40.0,
             gripped_unix_s: Some(NOW + 25.0),
+            note: Some("it was taken off by a person's order".into()),
             ..gripped(pose)
         }
     }
@@ -322,9 +332,9 @@ mod tests {
         2026-11-21T08:00:20Z  1. mug was gripped, on its way to its goal
         2026-11-21T08:00:25Z  2. mug was gripped, on its way to its goal
         2026-11-21T08:00:30Z  failed after 29.0 s (s: travel 12.0)
-        2026-11-21T08:00:40Z  2. mug was off the gripper; it was meant for its goal
+        2026-11-21T08:00:40Z  2. mug was off the gripper on its way to its goal: it was taken off by a person's order
 
-          mug: not seen since it was gripped
+          mug: not seen since it was gripped; it was taken off by a person's order
         ");
     }
 }

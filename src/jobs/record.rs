@@ -240,6 +240,8 @@ pub struct StepRecord {
     /// When the object hung on the cups, s since 1970; none where it never did, or where the journal was
     /// written by a celld that kept the last change alone.
     pub gripped_unix_s: Option<f64>,
+    /// What became of it where it left the cups otherwise than at its place, a sentence about "it".
+    pub note: Option<String>,
 }
 
 /// The content of `result.yaml`.

@@ -119,6 +119,20 @@ pub struct Stopped {
     pub message: String,
     /// What to do about it.
     pub hint: String,
+    /// The job that it ended, or that goes on after it.
+    #[serde(default)]
+    pub job: Option<String>,
+}
+
+impl Stopped {
+    /// One line; with the job, where it is not the active one.
+    pub fn text(&self, active: Option<&str>) -> String {
+        let Stopped { code, message, job, .. } = self;
+        match job.as_deref().filter(|job| Some(*job) != active) {
+            Some(job) => format!("stopped in job {job}: {message} ({code})"),
+            None => format!("stopped: {message} ({code})"),
+        }
+    }
 }
 
 /// One device.
@@ -212,8 +226,8 @@ impl Status {
         if self.rests() {
             lines.push("  the arm was at rest".to_string());
         }
-        if let Some(Stopped { code, message, .. }) = &self.stopped {
-            lines.push(format!("  stopped: {message} ({code})"));
+        if let Some(stopped) = &self.stopped {
+            lines.push(format!("  {}", stopped.text(self.job.as_deref())));
         }
         if let Some(job) = &self.job {
             let step = self.step.map(|(step, of)| format!(", step {step} of {of}")).unwrap_or_default();
@@ -234,8 +248,8 @@ impl Status {
         if let Some(because) = &self.because {
             lines.push(format!("  looks again: {because}"));
         }
-        if let Some(Stopped { code, message, .. }) = &self.stopped {
-            lines.push(format!("  stopped: {message} ({code})"));
+        if let Some(stopped) = &self.stopped {
+            lines.push(format!("  {}", stopped.text(self.job.as_deref())));
         }
         if !self.hint.is_empty() {
             lines.push(format!("  to do: {}", self.hint));
@@ -370,6 +384,7 @@ mod tests {
                 code: "aborted".into(),
                 message: "the operator stopped the cell".into(),
                 hint: String::new(),
+                job: None,
             }),
             hint: "`celld arm`".into(),
             ..Status::default()

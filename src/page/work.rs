@@ -7,7 +7,7 @@ use crate::daemon::job_orders::{found_by, job_context, job_order};
 use crate::daemon::plan_files;
 use crate::daemon::recordings_folder::recordings_of;
 use crate::jobs::goal::{GoalEntry, find_goal_file, parse_goal_file, read_goal_file};
-use crate::jobs::history::{JobFilter, hung_since_it_was_seen, since, story};
+use crate::jobs::history::{JobFilter, since, story, unseen};
 use crate::jobs::job_file::read_job;
 use crate::jobs::journal::Journal;
 use crate::jobs::record::{GoalPose, JobRecord, JobSpec, StepRecord, quoted};
@@ -31,6 +31,7 @@ use cell_values::time::Duration;
 use rearrange::document::chain::chain;
 use serde::Deserialize;
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -168,9 +169,9 @@ pub async fn job(State(app): State<App>, Path(id): Path<String>) -> Result<Respo
         };
         body["steps"] = steps.iter().map(step).collect();
         let objects = job.result.iter().flat_map(|result| &result.objects);
-        let unseen = objects.filter(|object| object.measured.is_none());
-        body["unseen_since_gripped"] =
-            unseen.map(|object| object.id.as_str()).filter(|id| hung_since_it_was_seen(id, &steps)).collect();
+        let unknown = objects.filter(|object| object.measured.is_none());
+        let words: BTreeMap<_, _> = unknown.map(|object| (&object.id, unseen(&object.id, &steps))).collect();
+        body["unseen"] = json!(words);
         Ok(body)
     });
     Ok(Json(body.await??).into_response())
@@ -300,7 +301,7 @@ fn planned(app: &Shared, text: &str) -> Result<Value, Refused> {
     let sight = app
         .feed
         .last_sight()
-        .ok_or_else(|| conflict("the table was not seen yet; `arm` the cell, or submit the job"))?;
+        .ok_or_else(|| conflict("the table was not seen yet; press Look at the table, or submit the job"))?;
     let spec = read(app, text)?;
     let order = job_order(&app.cell, "draft", &spec, &spec.goal, &[])
         .map_err(|message| Refused::new(StatusCode::UNPROCESSABLE_ENTITY, message))?;

@@ -323,7 +323,7 @@ impl Rules {
                 match record {
                     Record::Intent { .. } => self.meant = true,
                     Record::Withdrawn { .. } => (self.picking, self.meant) = (false, false),
-                    Record::Gripped { .. } | Record::Released { .. } | Record::LetGo => {
+                    Record::Gripped { .. } | Record::Released { .. } | Record::LetGo { .. } => {
                         self.disturbed = frame
                     }
                     // The way from the place is still to be finished.

@@ -97,7 +97,7 @@ impl Store {
             Some(Record::Ended(report)) if report.id == job.id => self.reports.push((**report).clone()),
             Some(
                 Record::Ended(_)
-                | Record::LetGo
+                | Record::LetGo { .. }
                 | Record::Done { .. }
                 | Record::Withdrawn { .. }
                 | Record::Found { .. }

@@ -100,7 +100,7 @@ fn objects(page: &mut String, objects: &[ObjectRow], values: &Figures) {
         if with_truth { "<th>in the simulated world</th><th></th>" } else { "" }
     );
     for object in objects {
-        let seen = object.measured.map(pose).or(object.unseen.map(escape));
+        let seen = object.measured.map(pose).or(object.unseen.as_deref().map(escape));
         let _ = write!(
             page,
             "<tr><td>{}</td><td>{}</td><td>{}</td>",
@@ -215,11 +215,11 @@ mod tests {
     const FAR: Option<Pose2> = Some(Pose2 { x: 0.31, y: 0.2, theta: 0.5 });
 
     fn objects() -> Vec<ObjectRow> {
-        let row = |id: &str, measured, unseen, truth| ObjectRow {
+        let row = |id: &str, measured, unseen: Option<&str>, truth| ObjectRow {
             id: id.to_string(),
             goal: GOAL,
             measured,
-            unseen,
+            unseen: unseen.map(str::to_string),
             truth,
         };
         vec![

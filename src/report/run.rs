@@ -92,7 +92,7 @@ pub struct ObjectRow {
     /// As the camera saw it last.
     pub measured: Option<Pose2>,
     /// What is known instead where the camera did not see it, or not since it was gripped.
-    pub unseen: Option<&'static str>,
+    pub unseen: Option<String>,
     /// As the simulated world knows it; absent on a real cell.
     pub truth: Option<Pose2>,
 }

@@ -20,6 +20,7 @@ receive = rtde_receive.RTDEReceiveInterface(host)
 
 HOME = [-1.6, -1.9, 1.8, -1.5, -1.57, 0.1]
 check("moveJ to the start", control.moveJ(HOME, 1.05, 1.4))
+wait_until("what is received is of the arm at rest", lambda: max(abs(a - b) for a, b in zip(receive.getActualQ(), HOME)) < 1e-7)
 pose = control.getForwardKinematics()
 
 # Kinematics, against the parameters the controller publishes.
@@ -137,12 +138,23 @@ check("startContactDetection", control.startContactDetection([0.0] * 6))
 check("readContactDetection is False in the air", not control.readContactDetection())
 check("stopContactDetection", control.stopContactDetection() in (True, False))
 
-# Watchdog: kicked it lets the program run, silent it stops it.
+# Watchdog: kicked it lets the program run, silent it stops it. On a busy computer a kick may be late, and then it
+# stops the program rightly: another series is judged.
 check("setWatchdog", control.setWatchdog(10.0))
-for _ in range(30):
-    control.kickWatchdog()
-    time.sleep(0.02)
-check("a kicked watchdog lets the program run", control.isProgramRunning())
+for _ in range(50):
+    last, longest = time.monotonic(), 0.0
+    for _ in range(30):
+        control.kickWatchdog()
+        last, longest = time.monotonic(), max(longest, time.monotonic() - last)
+        time.sleep(0.02)
+    runs = control.isProgramRunning()
+    if runs or longest < 0.08:
+        break
+    control.reuploadScript()
+    while not control.isProgramRunning():
+        time.sleep(0.01)
+    control.setWatchdog(10.0)
+check("a kicked watchdog lets the program run", runs, f"longest time between two kicks: {longest:.3f} s")
 wait_until("a silent one stops it", lambda: not control.isProgramRunning())
 check("reuploadScript", control.reuploadScript())
 wait_until("the program runs again", control.isProgramRunning)
@@ -166,7 +178,9 @@ wait_until("the control program is back again", control.isProgramRunning)
 check("it still moves", control.moveJ(HOME, 1.05, 1.4))
 
 # Stops.
-check("triggerProtectiveStop", control.triggerProtectiveStop())
+# What it returns is decided between two reads of the client: that the script is done with the command, and that
+# the robot is stopped, may come in one package. What it does is not.
+control.triggerProtectiveStop()
 wait_until("the arm is protectively stopped", receive.isProtectiveStopped)
 check("moves are refused", not control.moveJ([a + 0.05 for a in HOME], 1.05, 1.4))
 dashboard.closeSafetyPopup()

@@ -115,7 +115,7 @@ for name, low, high in [
     check(f"get{name} lies in its range", low <= value <= high, value)
 near("getSafetyMode", receive.getSafetyMode(), 1, 0)
 near("getSafetyStatusBits", receive.getSafetyStatusBits(), 1, 0)
-near("getRobotStatus", receive.getRobotStatus(), 3, 0)
+wait_until("getRobotStatus: power is on, a program runs", lambda: receive.getRobotStatus() == 3)
 near("getActualDigitalInputBits", receive.getActualDigitalInputBits(), 0, 0)
 check("getDigitalInState", not receive.getDigitalInState(0))
 check("isProtectiveStopped", not receive.isProtectiveStopped())

@@ -4,7 +4,7 @@
 //! frame: what it does and what to do, the job with its moves, the devices, the last changes. It only
 //! shows; orders are commands of their own, so that no key moves an arm. Pure: a test draws into a buffer.
 
-use crate::jobs::status::{DeviceStatus, Status, Stopped};
+use crate::jobs::status::{DeviceStatus, Status};
 use crate::jobs::utc;
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -141,8 +141,8 @@ fn now_of(status: &Status, unix_s: f64) -> Vec<Line<'_>> {
     for id in &status.awaiting_approval {
         lines.push(Line::styled(format!("waits for `celld approve {id}` or `celld reject {id}`"), strong));
     }
-    if let Some(Stopped { code, message, .. }) = &status.stopped {
-        lines.push(Line::styled(format!("stopped: {message} ({code})"), Color::Red));
+    if let Some(stopped) = &status.stopped {
+        lines.push(Line::styled(stopped.text(status.job.as_deref()), Color::Red));
     }
     if let Some(because) = &status.because {
         lines.push(Line::from(format!("looks again: {because}")));
@@ -164,6 +164,7 @@ fn devices_of(devices: &[DeviceStatus]) -> Paragraph<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::jobs::status::Stopped;
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
 
@@ -196,7 +197,12 @@ mod tests {
             job: Some("tidy-1".to_string()),
             step: Some((1, 4)),
             written_unix_s: 1000.0,
-            stopped: Some(Stopped { code: "slip".into(), message: "it fell".into(), hint: String::new() }),
+            stopped: Some(Stopped {
+                code: "slip".into(),
+                message: "it fell".into(),
+                hint: String::new(),
+                job: None,
+            }),
             awaiting_approval: vec!["tidy-2".to_string()],
             devices: vec![device("robot", true), device("camera", false)],
             ..Status::default()

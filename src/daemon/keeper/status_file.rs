@@ -58,6 +58,7 @@ impl StateKeeper {
                 code: stop.code.to_string(),
                 message: stop.message.clone(),
                 hint: stop.hint.clone(),
+                job: stop.job.clone(),
             }),
             ways: status.ways.iter().map(|way| way.as_str().to_string()).collect(),
             refused: self.refused.clone(),

@@ -11,14 +11,14 @@ use rearrange::planning::plan::ActionKind;
 
 /// What is needed of the effects before.
 #[derive(Debug, Default)]
-pub(super) struct Said {
+pub struct Said {
     /// Of the step that was meant last.
     object: String,
 }
 
 impl Said {
     /// The line for an effect.
-    pub(super) fn line(&mut self, effect: &Effect) -> Option<(Level, String)> {
+    pub fn line(&mut self, effect: &Effect) -> Option<(Level, String)> {
         match effect {
             Effect::Commit { record, .. } => Some((Level::Info, self.progress(record)?)),
             Effect::Reply { reply, .. } if !reply.accepted => {
@@ -62,7 +62,9 @@ impl Said {
             Record::Released { step } => format!("{step}. {} is let go", self.object),
             Record::Done { step } => format!("{step}. {} is done", self.object),
             Record::Withdrawn { step } => format!("{step}. {} is not begun", self.object),
-            Record::LetGo => "what was gripped does not hang on the cups any more".to_string(),
+            Record::LetGo { how } => {
+                format!("what was gripped last does not hang on the cups any more: {how}")
+            }
             Record::Planned(_) | Record::Ended(_) => return None,
         })
     }

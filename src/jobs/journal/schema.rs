@@ -18,6 +18,7 @@ ALTER TABLE jobs ADD COLUMN plan TEXT;
     "
 ALTER TABLE jobs ADD COLUMN found_at REAL;
 ALTER TABLE jobs ADD COLUMN approved_at REAL;
+ALTER TABLE steps ADD COLUMN note TEXT;
 ",
 ];
 
@@ -58,6 +59,7 @@ CREATE TABLE steps (
   phase   TEXT NOT NULL CHECK (phase IN ('intent','gripped','released','done','abandoned')),
   changed REAL NOT NULL,
   gripped REAL,
+  note    TEXT,
   PRIMARY KEY (job, step)
 );
 CREATE UNIQUE INDEX one_open_step ON steps (job) WHERE phase IN ('intent','gripped','released');

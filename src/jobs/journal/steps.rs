@@ -72,11 +72,11 @@ impl Journal {
     ///
     /// # Errors
     /// The database cannot be written.
-    pub fn let_go(&mut self, unix_s: f64) -> Result<(), JournalError> {
-        let update = "UPDATE steps SET changed = ?1,
+    pub fn let_go(&mut self, how: &str, unix_s: f64) -> Result<(), JournalError> {
+        let update = "UPDATE steps SET changed = ?1, note = ?2,
              phase = CASE phase WHEN 'gripped' THEN 'released' ELSE 'abandoned' END
              WHERE phase IN ('gripped','intent') AND rowid = (SELECT max(rowid) FROM steps)";
-        self.database.execute(update, [unix_s]).map(|_| ()).map_err(|e| self.fail(e))
+        self.database.execute(update, params![unix_s, how]).map(|_| ()).map_err(|e| self.fail(e))
     }
 
     fn step_phase(&mut self, id: &str, step: u32, to: StepPhase, unix_s: f64) -> Result<(), JournalError> {
@@ -141,10 +141,10 @@ impl Journal {
     }
 
     fn step_record(&self, row: StepRow) -> Result<StepRecord, JournalError> {
-        let StepRow { step, intent, phase, changed_unix_s, gripped_unix_s } = row;
+        let StepRow { step, intent, phase, changed_unix_s, gripped_unix_s, note } = row;
         let phase = phase.parse::<StepPhase>().map_err(|_| self.damaged("steps.phase", &phase))?;
         let intent = self.decode("steps.intent", &intent)?;
-        Ok(StepRecord { step, intent, phase, changed_unix_s, gripped_unix_s })
+        Ok(StepRecord { step, intent, phase, changed_unix_s, gripped_unix_s, note })
     }
 }
 
@@ -155,13 +155,15 @@ struct StepRow {
     phase: String,
     changed_unix_s: f64,
     gripped_unix_s: Option<f64>,
+    note: Option<String>,
 }
 
-/// Columns in the order of [`StepRow`]; databases before version 3 lack the last.
+/// Columns in the order of [`StepRow`]; older databases lack the last ones.
 fn step_columns(version: i64) -> &'static str {
     match version {
-        ..3 => "step, intent, phase, changed, NULL",
-        3.. => "step, intent, phase, changed, gripped",
+        ..3 => "step, intent, phase, changed, NULL, NULL",
+        3 => "step, intent, phase, changed, gripped, NULL",
+        4.. => "step, intent, phase, changed, gripped, note",
     }
 }
 
@@ -172,5 +174,6 @@ fn step_row(row: &Row) -> Result<StepRow, rusqlite::Error> {
         phase: row.get(2)?,
         changed_unix_s: row.get(3)?,
         gripped_unix_s: row.get(4)?,
+        note: row.get(5)?,
     })
 }

@@ -127,14 +127,14 @@ fn no_step_begins_while_one_is_open() {
     let last = |journal: &Journal| journal.last_step().unwrap().map(|step| (step.step, step.phase));
     assert_eq!(last(&journal), Some((1, StepPhase::Gripped)));
     assert_eq!(journal.last_step().unwrap().map(|step| step.intent), Some(intent()));
-    journal.let_go(NOW).unwrap();
+    journal.let_go("it fell", NOW).unwrap();
     assert_eq!(last(&journal), Some((1, StepPhase::Released)));
     assert!(matches!(journal.requeue("a"), Err(JournalError::WrongState { .. })));
     journal.step_done("a", 1, NOW).unwrap();
     assert!(matches!(journal.step_done("a", 1, NOW), Err(JournalError::WrongStep { step: 1, .. })));
     assert_eq!(journal.step_intent("a", &intent(), NOW).unwrap(), 2);
     journal.step_abandoned("a", 2, NOW).unwrap();
-    journal.let_go(NOW).unwrap();
+    journal.let_go("it fell", NOW).unwrap();
     assert_eq!(last(&journal), Some((2, StepPhase::Abandoned)), "nothing was gripped");
     assert_eq!(journal.step_intent("a", &intent(), NOW).unwrap(), 3);
 }

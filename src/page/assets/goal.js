@@ -29,11 +29,21 @@ function jobText() {
   return JSON.stringify(job);
 }
 
+/** What submitting lets begin at once; null where the cell has to be armed first. */
+function whatSubmitStarts() {
+  const { status } = state;
+  if (!status?.armed) return null;
+  if (status.job) return t("The cell is armed: the job begins behind {job}.", { job: status.job });
+  if (status.paused) return t("The cell is armed and paused: the job begins after Resume.");
+  return t("The cell is armed: the arm moves as soon as a job is submitted, to look at the table.");
+}
+
 export function goalPage(main) {
   const holder = h("div", { id: "goal-table" });
   const troubles = h("div", { role: "status", "aria-live": "polite", id: "troubles" });
   const list = h("div");
   const result = h("div", { role: "status", "aria-live": "polite", id: "preview" });
+  const starting = h("p", { class: "note", id: "starts" });
   let drawing = null;
   let asking = 0;
 
@@ -193,6 +203,7 @@ export function goalPage(main) {
   };
 
   const inRows = () => {
+    if (nothingYet()) return;
     const ids = [...draft.poses.keys()];
     const [width, height] = state.cell.table;
     let [x, y, tall] = [0.02, height - 0.02, 0];
@@ -213,7 +224,8 @@ export function goalPage(main) {
     const [a, b] = ["swap-a", "swap-b"].map((id) => document.getElementById(id).value);
     const there = lying();
     const [pa, pb] = [a, b].map((id) => draft.poses.get(id) ?? there.get(id));
-    if (!pa || !pb || a === b) return;
+    if (!pa || !pb) return void nothingYet();
+    if (a === b) return;
     draft.poses.set(a, [...pb]);
     draft.poses.set(b, [...pa]);
     changed(null);
@@ -223,6 +235,7 @@ export function goalPage(main) {
   const value = (id) => document.getElementById(id).valueAsNumber;
 
   const inGrid = () => {
+    if (nothingYet()) return;
     const [columns, dx, dy, x0, y0] = ["grid-columns", "grid-x", "grid-y", "grid-left", "grid-low"].map(value);
     if (!(columns >= 1)) return;
     [...draft.poses.keys()].forEach((id, index) => draft.poses.set(id, [(x0 + (index % columns) * dx) / 1000, (y0 + Math.floor(index / columns) * dy) / 1000, 0]));
@@ -240,7 +253,15 @@ export function goalPage(main) {
     await check(null);
   };
 
+  // Without an object there is nothing to preview, to put in rows or to submit.
+  const nothingYet = () => {
+    if (draft.poses.size || draft.rule) return false;
+    fill(result, h("p", { class: "note wrong", id: "nothing-yet" }, t("No object has a goal yet."), " ", state.sight ? t("“As it lies now” takes the table as it is.") : t("The table was not seen yet: “Look at the table” first.")));
+    return true;
+  };
+
   const preview = async () => {
+    if (nothingYet()) return;
     fill(result, h("p", { class: "soft" }, t("planning …")));
     draft.plan = null;
     draw();
@@ -259,21 +280,24 @@ export function goalPage(main) {
   };
 
   const submit = async () => {
+    if (nothingYet()) return;
+    const starts = whatSubmitStarts();
     try {
       const { id, state: word, message } = await api("jobs", { body: { text: jobText(), name: "page" } });
       // From now on the plan is the job's own.
       draft.plan = null;
       draw();
-      fill(result, h("p", { class: "note", id: "submitted" }, t("Submitted: job {job}, {state}.", { job: id, state: t(word) }), message ? ` ${here(message)}` : "", state.status?.armed ? [" ", h("strong", {}, t("The cell is armed: the arm looks at the table now."))] : "", " ", h("a", { href: "#live" }, t("To the cell"))));
+      fill(result, h("p", { class: "note", id: "submitted" }, t("Submitted: job {job}, {state}.", { job: id, state: t(word) }), message ? ` ${here(message)}` : "", starts ? [" ", h("strong", {}, starts)] : "", " ", h("a", { href: "#live" }, t("To the cell"))));
     } catch (error) {
       fill(result, h("p", { class: "note wrong" }, here(error.message)));
     }
   };
 
   const lookAround = async () => {
+    const starts = whatSubmitStarts();
     try {
       const { id } = await api("jobs", { body: { text: JSON.stringify({ version: 1, goal: { look: true }, rerun: true }), name: "look" } });
-      fill(result, h("p", { class: "note", id: "looking" }, t("Job {job} looks at the table as soon as the cell is armed.", { job: id }), " ", h("a", { href: "#live" }, t("To the cell"))));
+      fill(result, h("p", { class: "note", id: "looking" }, t("Job {job} looks at the table as soon as the cell is armed.", { job: id }), " ", starts && h("strong", {}, starts, " "), h("a", { href: "#live" }, t("To the cell"))));
     } catch (error) {
       fill(result, h("p", { class: "note wrong" }, here(error.message)));
     }
@@ -310,14 +334,14 @@ export function goalPage(main) {
   const second = choose("swap-b", t("second object"));
   if (movable().length > 1) second.value = movable()[1].id;
   fill(main, h("div", { class: "grid" },
-    card(t("Goal"), h("div", { class: "row" }, h("button", { type: "button", id: "look", disabled: !may("operate"), click: lookAround }, t("Look at the table")), h("button", { type: "button", id: "take", click: take }, t("As it lies now")), h("button", { type: "button", id: "rows", click: inRows }, t("In rows")), files), holder, troubles,
+    card(t("Goal"), h("div", { class: "row" }, h("button", { type: "button", id: "look", disabled: !may("operate"), click: lookAround }, t("Look at the table")), h("button", { type: "button", id: "take", click: () => { take(); nothingYet(); } }, t("As it lies now")), h("button", { type: "button", id: "rows", click: inRows }, t("In rows")), files), holder, troubles,
       h("p", { class: "soft" }, t("Solid: where things lie. Dashed: where they are to go. Drag an outline, turn it by its circle."))),
     h("div", { class: "grid" },
       card(t("Plan and submit"), h("div", { class: "row" },
         h("button", { type: "button", id: "plan", class: "first", click: preview }, t("Preview")),
         h("input", { id: "job-id", placeholder: t("name of the job (optional)"), "aria-label": t("name of the job (optional)") }),
         h("label", {}, t("approval"), " ", h("select", { id: "approval" }, h("option", { value: "" }, t("as the cell")), ["never", "job", "always"].slice(["never", "job", "always"].indexOf(state.cell.approval)).map((word) => h("option", { value: word }, t(word))))),
-        h("button", { type: "button", id: "submit", class: "first", disabled: !may("operate"), click: submit }, t("Submit"))), result),
+        h("button", { type: "button", id: "submit", class: "first", disabled: !may("operate"), click: submit }, t("Submit"))), starting, result),
       card(t("Objects with a goal"), h("div", { class: "scroll" }, list)),
       card(t("Swap two"), h("div", { class: "row" }, choose("swap-a", t("first object")), second, h("button", { type: "button", id: "swap", click: swapped }, t("Swap")))),
       card(t("Grid or region"), h("p", { class: "soft" }, t("For the objects with a goal, mm.")),
@@ -327,8 +351,14 @@ export function goalPage(main) {
           h("button", { type: "button", id: "region", click: inRegion }, t("Into the region")))),
       card(t("Save as a goal file"), h("div", { class: "row" }, h("input", { id: "goal-name", "aria-label": t("name of the file"), placeholder: "tidy.yaml" }),
         h("label", { for: "replace" }, h("input", { type: "checkbox", id: "replace" }), " ", t("replace")), h("button", { type: "button", id: "save", disabled: !may("operate"), click: save }, t("Save")))))));
+  const warn = () => {
+    const words = whatSubmitStarts();
+    starting.hidden = !words;
+    starting.textContent = words ?? "";
+  };
+  warn();
   listFiles();
   if (!draft.poses.size && state.sight) take(); else { draw(); check(null); }
-  const stops = [on("sight", () => (draft.poses.size ? draw() : take())), on("carried", () => draw())];
+  const stops = [on("sight", () => (draft.poses.size ? draw() : take())), on("carried", () => draw()), on("status", warn)];
   return () => stops.forEach((stop) => stop());
 }

@@ -29,7 +29,7 @@ function detail(job) {
       h("div", {}, h("h3", {}, t("Story")), h("pre", { tabindex: 0 }, job.story),
         times.length ? [h("h3", {}, t("Where the time went")), h("table", {}, times.map(([what, seconds]) => h("tr", {}, h("td", {}, what), h("td", {}, `${number(seconds)} s`))))] : null,
         result?.objects.length ? [h("h3", {}, t("Objects")), h("table", {}, h("tr", {}, h("th", {}, t("object")), h("th", {}, t("off by"))),
-          result.objects.map((object) => h("tr", {}, h("td", {}, object.id), h("td", {}, object.error_mm === null ? (job.unseen_since_gripped.includes(object.id) ? t("not seen since it was gripped") : t("not seen")) : `${number(object.error_mm)} mm, ${number(object.error_deg)}°`))))] : null),
+          result.objects.map((object) => h("tr", {}, h("td", {}, object.id), h("td", {}, object.error_mm === null ? here(job.unseen[object.id] ?? "not seen") : `${number(object.error_mm)} mm, ${number(object.error_deg)}°`))))] : null),
       h("div", {}, image("plan.jpg", t("When the plan was made")), image("end.jpg", t("The last picture")), image("plan.svg", t("The plan")))),
   ];
 }

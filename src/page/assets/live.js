@@ -44,22 +44,42 @@ function now() {
       // What is under way is finished: until then the arm moves in a cell that is disarmed or paused.
       h("span", { class: `badge ${status.armed || status.moving ? "warn" : "good"}`, id: "armed" }, status.armed ? t("ARMED: the arm may move") : status.moving ? t("disarmed, THE ARM MAY STILL MOVE") : t("disarmed")), " ",
       status.paused && h("span", { class: "badge warn", id: "paused" }, status.moving ? t("pausing, THE ARM MAY STILL MOVE") : t("paused")), " ",
-      status.holding && h("span", { class: "badge warn", id: "holding" }, t("in the gripper"), ": ", here(status.holding))),
+      status.holding && h("span", { class: "badge warn", id: "holding" }, t("gripper"), ": ", here(status.holding))),
     h("p", { class: "say", id: "message", role: "status" }, status.stopped && !status.armed && status.message === "idle" ? t("stopped") : here(status.message)),
     status.hint && h("p", { class: "hint", id: "hint" }, "→ ", here(status.hint)),
     !status.hint && status.holding && !status.armed && !status.moving && h("p", { class: "hint" }, "→ ", t("Something hangs, or may hang, on the gripper: the ways back are below the orders.")),
     status.shared && h("p", { class: "soft", id: "shared" }, t("Configuration shared with other cells"), ": ", status.shared),
     status.because && h("p", { class: "soft" }, here(status.because)),
     // Nothing was looked at since celld was started: where to begin.
-    !state.sight && !status.job && !status.stopped && !status.holding && h("p", { class: "soft", id: "begin" }, t("To begin:"), " ", h("a", { href: "#goal" }, t("Set a goal")), ". ", t("There the cell looks at the table once it is armed, and plans before it moves anything.")),
+    !state.sight && !status.job && !status.stopped && !status.holding && h("p", { class: "soft", id: "begin" }, t("To begin:"), " ", h("a", { href: "#goal" }, t("Set a goal")), ". ", t("Once the cell is armed, the arm moves to look at the table; nothing is picked before there is a plan.")),
     // On a way back it is being left.
-    status.stopped && !status.armed && h("p", { class: "note wrong", id: "stopped" }, h("strong", {}, here(status.stopped.message)), h("br"), status.stopped.hint === status.hint ? "" : here(status.stopped.hint)),
+    status.stopped && !status.armed && h("p", { class: "note wrong", id: "stopped" }, h("strong", {}, status.stopped.job && status.stopped.job !== status.job ? [t("Job {job}", { job: status.stopped.job }), ": "] : "", here(status.stopped.message)), h("br"), status.stopped.hint === status.hint ? "" : here(status.stopped.hint)),
     status.job && h("div", {}, h("p", {}, h("strong", {}, t("Job {job}", { job: status.job })), all ? `: ${t("{made} of {all} moves", { made, all })}` : "", left === null ? "" : made < all ? `, ${t("about {time} left, then a last look", { time: duration(left) })}` : `, ${t("a last look at the table")}`),
       all ? h("progress", { value: made, max: all, "aria-label": t("Progress of the job") }) : null),
     refusedFile(status),
     !status.job && happened(),
-    h("p", { class: "soft" }, status.job ? t("{count} more jobs wait", { count: status.waiting }) : t("{count} jobs wait", { count: status.waiting }), status.unread ? `, ${t("{count} files are not read yet", { count: status.unread })}` : ""),
+    h("p", { class: "soft" }, status.job ? t("more jobs that wait: {count}", { count: status.waiting }) : t("jobs that wait: {count}", { count: status.waiting }), status.unread ? `, ${t("files that are not read yet: {count}", { count: status.unread })}` : ""),
   ];
+}
+
+/** The job before, where it did not come to its goal: why, and what is to be done. */
+function unfinished() {
+  const element = h("div", { id: "unfinished" });
+  let key = null;
+  const update = async () => {
+    const { status } = state;
+    element.hidden = !status || Boolean(status.job || status.stopped);
+    const now = JSON.stringify([status?.job, status?.waiting]);
+    if (now === key) return;
+    key = now;
+    try {
+      const [last] = await api("jobs?last=1");
+      const job = last && ["failed", "interrupted"].includes(last.state) ? await api("jobs/" + encodeURIComponent(last.id)) : null;
+      fill(element, job?.last ? h("p", { class: "note wrong" }, h("a", { href: "#jobs/" + encodeURIComponent(job.id) }, t("Job {job}", { job: job.id })), ": ", h("strong", {}, t(job.state)), ` – ${here(job.result?.message ?? "")}`, job.result?.hint ? [h("br"), "→ ", here(job.result.hint)] : "") : []);
+    } catch { /* shown as stale elsewhere */ }
+  };
+  update();
+  return { element, stop: on("status", update) };
 }
 
 function devices() {
@@ -114,7 +134,7 @@ export function tableCard() {
     follow?.(hanging);
     fill(holder, drawing);
     words.textContent = count ? ` ${t("after move {count}: {object}", { count, object: steps[count - 1].object })}` : ` ${t("now")}`;
-    sight.textContent = seen ? `${t("Seen at {time}", { time: time(seen.unix_s) })}${seen.missing.length ? `; ${t("not seen")}: ${seen.missing.join(", ")}` : ""}${seen.doubted.length ? `; ${seen.doubted.map((pair) => pair[1]).join("; ")}` : ""}${seen.foreign.length ? `; ${t("{count} things without a marker", { count: seen.foreign.length })}` : ""}` : t("The table was not seen yet.");
+    sight.textContent = seen ? `${t("Seen at {time}", { time: time(seen.unix_s) })}${seen.missing.length ? `; ${t("not seen")}: ${seen.missing.join(", ")}` : ""}${seen.doubted.length ? `; ${seen.doubted.map((pair) => pair[1]).join("; ")}` : ""}${seen.foreign.length ? `; ${t("things without a marker: {count}", { count: seen.foreign.length })}` : ""}` : t("The table was not seen yet.");
   };
   slider.addEventListener("input", draw);
   // What hangs on the gripper goes where the arm goes; all else is drawn anew when it changes.
@@ -137,7 +157,7 @@ function moves() {
     h("p", {}, `${t("moves")}: ${plan.steps.length}, `, t("{count} to a temporary place", { count: plan.steps.filter(({ kind }) => kind !== "goal").length }),
       plan.lower_bound !== null ? `; ${t("at least {bound} are needed", { bound: number(plan.lower_bound, plan.lower_bound % 1 ? 2 : 0) })}` : "",
       plan.seconds ? `; ${t("about {time}", { time: duration(plan.seconds) })}` : ""),
-    plan.preview && h("p", { class: "hint" }, t("A preview from a look {time} before: the cell looks again before it moves.", { time: duration(plan.sight_age_s) })),
+    plan.preview && h("p", { class: "hint" }, t("A preview from a look {time} before: the arm moves to look again before it picks anything.", { time: duration(plan.sight_age_s) })),
     h("ol", { class: "moves" }, plan.steps.map(({ object: id, to, kind }, index) => {
       const swatch = h("span", { class: "swatch" });
       swatch.style.background = colour(id);
@@ -168,9 +188,11 @@ function trends() {
 }
 
 export function livePage(main) {
-  const parts = [live(t("Now"), ["status", "stale", "sentences"], now), orders(), tableCard(), picture(), arm3d(),
+  const [first, before] = [live(t("Now"), ["status", "stale", "sentences"], now), unfinished()];
+  first.element.append(before.element);
+  const parts = [first, orders(), tableCard(), picture(), arm3d(),
     live(t("Moves"), ["status"], moves), live(t("Devices"), ["status", "arm", "vacuum"], devices), trends(),
     live(t("What happened"), ["sentences"], log)];
   fill(main, h("div", { class: "grid" }, parts.map(({ element }) => element)));
-  return () => parts.forEach(({ stop }) => stop());
+  return () => [...parts, before].forEach(({ stop }) => stop());
 }

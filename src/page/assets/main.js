@@ -53,7 +53,7 @@ function drawMode() {
   if (!badge || !state.status) return;
   const { armed, paused, moving, stopped } = state.status;
   badge.className = `badge ${armed || moving ? "warn" : "good"}`;
-  badge.textContent = [armed ? t("ARMED") : moving ? t("MAY STILL MOVE") : t("disarmed"), paused && t("paused"), stopped && !armed && t("stopped")].filter(Boolean).join(", ");
+  badge.textContent = [armed ? t("ARMED") : moving ? t("MAY STILL MOVE") : t("disarmed"), paused && (armed && moving ? t("pausing, MAY STILL MOVE") : t("paused")), stopped && !armed && t("stopped")].filter(Boolean).join(", ");
 }
 
 function drawBar() {

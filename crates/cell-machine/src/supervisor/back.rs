@@ -36,7 +36,9 @@ pub(crate) struct LastStop {
     /// `None`: before this celld was started.
     pub at: Option<Timestamp>,
     pub reason: Reason,
-    /// The job was not ended by it: it goes on once the cell is armed.
+    /// The job that it ended or left, if one was active.
+    pub job: Option<String>,
+    /// That job was not ended by it: it goes on once the cell is armed.
     pub keeps_job: bool,
 }
 
@@ -54,7 +56,7 @@ impl LastStop {
                 format!("look at the cell, `celld recover` shows how it is; then `celld arm` and {again}"),
             ),
         };
-        LastStop { at: None, reason: code.because(message, hint).of(object), keeps_job: false }
+        LastStop { at: None, reason: code.because(message, hint).of(object), job: None, keeps_job: false }
     }
 }
 

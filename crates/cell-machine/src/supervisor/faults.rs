@@ -212,8 +212,8 @@ impl Supervisor {
             // What follows a stop at once is its consequence; what comes later is another.
             let follows = |stop: &LastStop| stop.at.is_some_and(|at| now.since(at) < SAME_STOP);
             if !self.mode.ending() && !self.back.last_stop.as_ref().is_some_and(follows) {
-                self.back.last_stop =
-                    Some(LastStop { at: Some(now), reason: reason.clone(), keeps_job: false });
+                let (reason, job) = (reason.clone(), None);
+                self.back.last_stop = Some(LastStop { at: Some(now), reason, job, keeps_job: false });
             }
             return say(out, reason.message);
         }
@@ -229,8 +229,24 @@ impl Supervisor {
     }
 
     pub(crate) fn on_abort(&mut self, now: Timestamp, out: &mut Vec<Action>) {
-        let reason = Code::Aborted.because("the operator stopped the cell", "");
-        self.stop_all(now, JobStatus::Interrupted, reason, out);
+        let message = match self.back.last_stop.as_ref().filter(|stop| stop.keeps_job && self.job.is_some()) {
+            // Of a job that a stop had left, that stop is what a person looks for later.
+            Some(stop) => format!("the operator stopped the cell; before that, {}", stop.reason.message),
+            None => "the operator stopped the cell".to_string(),
+        };
+        // Where nothing was left to stop, the stop before stays what is to be left.
+        let before = if self.rests_disarmed() { self.back.last_stop.take() } else { None };
+        self.stop_all(now, JobStatus::Interrupted, Code::Aborted.because(message, ""), out);
+        if before.is_some() {
+            self.back.last_stop = before;
+        }
+    }
+
+    /// No job, nothing under way, and the arm is known to be at rest.
+    fn rests_disarmed(&self) -> bool {
+        let quiet = self.job.is_none() && self.round.is_none() && self.back.recovery.is_none();
+        let rests = matches!(self.phase, Phase::Ready) && self.stands && self.arm_settled;
+        quiet && rests && !self.mode.armed()
     }
 
     pub(crate) fn on_shutdown(&mut self, now: Timestamp, out: &mut Vec<Action>) {
@@ -359,7 +375,8 @@ impl Supervisor {
         let Some(job) = &mut self.job else { return };
         job.stops += 1;
         let (stops, limit) = (job.stops, self.model.tolerances.stop_retries);
-        let stop = LastStop { at: Some(now), reason: reason.clone(), keeps_job: true };
+        let id = Some(job.order.id.clone());
+        let stop = LastStop { at: Some(now), reason: reason.clone(), job: id, keeps_job: true };
         let hint = self.stop_hint(&stop);
         alarm(out, format!("{STOP_ORDERED}: {}; {hint} (stop {stops} of {limit})", reason.message));
         self.end_what_moves(now, &reason, out);
@@ -383,7 +400,9 @@ impl Supervisor {
 
     /// A round or a way back ends with a stop, which is remembered for `celld recover`.
     fn end_what_moves(&mut self, now: Timestamp, reason: &Reason, out: &mut Vec<Action>) {
-        self.back.last_stop = Some(LastStop { at: Some(now), reason: reason.clone(), keeps_job: false });
+        let job = self.job.as_ref().filter(|_| !self.job_waits_for_a_round());
+        let (reason_kept, job) = (reason.clone(), job.map(|job| job.order.id.clone()));
+        self.back.last_stop = Some(LastStop { at: Some(now), reason: reason_kept, job, keeps_job: false });
         self.end_round(Err(RoundFault::Robot(reason.message.clone())), out);
         self.end_recovery(Err(reason.message.clone()), out);
     }

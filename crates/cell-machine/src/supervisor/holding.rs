@@ -18,6 +18,7 @@ use cell_motion::put_down::Grasp;
 use cell_values::time::Timestamp;
 use cell_vision::foreign::HeldBody;
 use cell_vision::observe::Observation;
+use rearrange::geometry::pose::Pose2;
 
 /// What hangs on the tool, in its frame: the pose is as seen from above, and the tool looks down, so its
 /// y axis is the other way round.
@@ -25,6 +26,9 @@ pub(crate) fn outline_in_tool(load: &Load) -> Vec<[f64; 2]> {
     let corner = |at: &[f64; 2]| load.tool_from_object.transform(*at);
     load.footprint.outline(HELD_CORNERS).iter().map(corner).map(|[x, y]| [x, -y]).collect()
 }
+
+/// What became of what a person's release let go.
+const TAKEN_OFF: &str = "it was taken off by a person's order";
 
 /// Corners of a curve, and of what may be anything.
 const HELD_CORNERS: usize = 32;
@@ -70,14 +74,17 @@ impl Supervisor {
                 (Phase::Work(work), Some(held)) if work.stage == WorkStage::Releasing => held.let_go = true,
                 (Phase::Recover(BackStage::Leaving), Some(held)) => {
                     held.let_go = true;
-                    self.note_let_go(out);
+                    let how = self.where_it_is_put(devices);
+                    self.note_let_go(how, out);
                 }
                 // One channel may have been let go, and the other hold on.
                 (_, held) if gates::empty_handed(devices).is_ok() => {
-                    let gone = held.take().is_some() && !works;
-                    self.back.fell = None;
-                    if gone {
-                        self.note_let_go(out);
+                    let gone = held.take().filter(|_| !works);
+                    let fell = self.back.fell.take();
+                    if let Some(held) = gone {
+                        let fell = fell.as_deref().and_then(|fell| fell.strip_prefix(&held.object));
+                        let how = fell.map_or_else(|| TAKEN_OFF.to_string(), |fell| format!("it{fell}"));
+                        self.note_let_go(how, out);
                     }
                 }
                 _ => {}
@@ -115,7 +122,7 @@ impl Supervisor {
         let Some(before) = self.model.held_before.take() else { return };
         if !self.back.grips {
             // What hangs there at a later start is another thing.
-            return self.note_let_go(out);
+            return self.note_let_go("it had gone when celld started".to_string(), out);
         }
         if self.back.table.is_empty() {
             self.back.table.clone_from(&before.table);
@@ -149,8 +156,19 @@ impl Supervisor {
     }
 
     /// Writes down that what was gripped last is gone from the cups; nothing waits for it.
-    fn note_let_go(&mut self, out: &mut Vec<Action>) {
-        self.commit(self.clock(), Record::LetGo, out);
+    fn note_let_go(&mut self, how: String, out: &mut Vec<Action>) {
+        self.commit(self.clock(), Record::LetGo { how }, out);
+    }
+
+    /// Where a way back puts down what is held, from where the arm is.
+    fn where_it_is_put(&self, devices: &DeviceSnapshot) -> String {
+        let grasp = self.back.held.as_ref().and_then(|held| held.grasp.as_ref());
+        let at =
+            grasp.zip(devices.robot).and_then(|(grasp, robot)| grasp.object_at(&self.model.arm, &robot.q));
+        match at {
+            Some(Pose2 { x, y, .. }) => format!("a way back put it down at x {x:.3} m, y {y:.3} m"),
+            None => "a way back put it down".to_string(),
+        }
     }
 
     /// What is held may be lost soon. A pick-n-place under way is finished, which is sooner over than

@@ -220,7 +220,10 @@ pub enum Record {
     },
     /// What was gripped last does not hang on the cups any more: it was put down on a way back, let go by a
     /// person's order, or had gone when celld started. Of no job.
-    LetGo,
+    LetGo {
+        /// What became of it, as far as is known, as a sentence about "it".
+        how: String,
+    },
     /// The job is over.
     Ended(Box<JobReport>),
 }

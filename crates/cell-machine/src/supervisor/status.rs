@@ -152,6 +152,8 @@ pub struct StopNote {
     pub message: String,
     /// What to do about it.
     pub hint: String,
+    /// The job that it ended or left.
+    pub job: Option<String>,
 }
 
 /// Which device.
@@ -271,7 +273,7 @@ impl Supervisor {
             hint: self.hint(),
             stopped: self.back.last_stop.as_ref().map(|stop| {
                 let Reason { code, message, .. } = stop.reason.clone();
-                StopNote { code, message, hint: self.stop_hint(stop) }
+                StopNote { code, message, hint: self.stop_hint(stop), job: stop.job.clone() }
             }),
             ways: Vec::new(),
             devices: Vec::new(),

@@ -56,7 +56,7 @@ impl Supervisor {
             Some(_) | None => order.goals.clone(),
         };
         match goals.iter().find(|(id, _)| !at.iter().any(|(seen, _)| seen == id)) {
-            Some((id, _)) => Err(reason_of(&RuleFault::NotSeen(id.clone()))),
+            Some((id, _)) => Err(absent(id, seen)),
             None => Ok(goals),
         }
     }
@@ -87,7 +87,24 @@ impl Supervisor {
             keep_out: &self.obstacles(seen),
             at,
         };
-        rule.resolve(&table, seed).map_err(|fault| reason_of(&fault))
+        rule.resolve(&table, seed).map_err(|fault| match &fault {
+            RuleFault::NotSeen(id) => absent(id, seen),
+            RuleFault::NoRoom(_)
+            | RuleFault::UnknownGroup(_)
+            | RuleFault::Unknown(_)
+            | RuleFault::Fixed(_) => reason_of(&fault),
+        })
+    }
+}
+
+/// Why an object that is needed where it lies has no pose: it lies askew, or is not seen.
+fn absent(id: &str, seen: &Observation) -> Reason {
+    match seen.suspicious.iter().find(|suspicious| suspicious.id == id) {
+        Some(suspicious) => {
+            let message = format!("{id} does not lie flat on the table: {}", suspicious.reason);
+            Code::ObjectTilted.because(message, "put it right by hand, submit again").of(id)
+        }
+        None => reason_of(&RuleFault::NotSeen(id.to_string())),
     }
 }
 

@@ -49,8 +49,8 @@ impl Level {
             deg_from_rad(self.tilt_rad()),
             deg_from_rad(limits.tilt_max_rad)
         );
-        let (error, way) =
-            (mm_from_m(self.height_error_m), if self.height_error_m > 0.0 { "high" } else { "low" });
+        let high = self.height_error_m > 0.0;
+        let (error, way) = (mm_from_m(self.height_error_m), if high { "high" } else { "low" });
         let height = format!(
             "its marker is {:.1} mm too {way} (limit {:.1} mm)",
             error.abs(),
@@ -59,10 +59,12 @@ impl Level {
         match (tilted, raised) {
             (false, false) => None,
             (true, false) => Some(format!("{tilt}: it lies on something or its marker is not flat")),
-            (false, true) => Some(format!(
-                "{height}: it lies on something, or its height or marker size is wrong in the config"
-            )),
-            (true, true) => Some(format!("{tilt} and {height}: it lies on something")),
+            (false, true) => {
+                let lies = if high { "it lies on something, or " } else { "" };
+                Some(format!("{height}: {lies}its height or marker size is wrong in the config"))
+            }
+            (true, true) if high => Some(format!("{tilt} and {height}: it lies on something")),
+            (true, true) => Some(format!("{tilt} and {height}: it lies askew")),
         }
     }
 }

@@ -79,6 +79,7 @@ fn what_an_arming_lacks_comes_before_it_in_the_hint() {
     let stop = |keeps_job: bool| LastStop {
         at: (!keeps_job).then_some(Timestamp::ZERO),
         reason: Code::VacuumLost.because("a was lost", "see where it lies"),
+        job: None,
         keeps_job,
     };
     for last_stop in [None, Some(stop(true)), Some(stop(false))] {
@@ -139,7 +140,7 @@ fn the_ways_in_the_status_are_those_that_the_cell_takes() {
         ("nothing", |_| {}),
         ("a stop before this start", |bench| {
             let reason = Code::Aborted.because("the operator aborted", "");
-            bench.cell.back.last_stop = Some(LastStop { at: None, reason, keeps_job: false });
+            bench.cell.back.last_stop = Some(LastStop { at: None, reason, job: None, keeps_job: false });
         }),
         ("the arm moves", |bench| bench.robot.qd[0] = 0.4),
         ("locked", |bench| bench.cell.mode = Mode::Locked("another arm".to_string())),

@@ -126,7 +126,7 @@ fn records(actions: &[Action]) -> Vec<&'static str> {
         Record::Released { .. } => "released",
         Record::Done { .. } => "done",
         Record::Withdrawn { .. } => "withdrawn",
-        Record::LetGo => "let go",
+        Record::LetGo { .. } => "let go",
         Record::Ended(_) => "ended",
     };
     let committed = actions.iter().filter_map(|action| match action {

@@ -396,7 +396,8 @@ fn what_an_earlier_celld_had_gripped_is_named_where_there_is_vacuum() {
         assert_eq!(bench.cell.status().held, None, "nothing is known before the gripper answers");
         (bench.gripper_answers, bench.vacuum) = (true, vacuum);
         let all = bench.ticks(3);
-        let let_go = all.iter().any(|action| matches!(action, Action::Commit { record: Record::LetGo, .. }));
+        let let_go =
+            all.iter().any(|action| matches!(action, Action::Commit { record: Record::LetGo { .. }, .. }));
         assert_eq!(let_go, held.is_none(), "what has gone is not taken for held at a later start");
         assert_eq!(bench.cell.back.table.is_empty(), held.is_none(), "what it hides from a look is known");
         assert_eq!(bench.cell.status().held.as_deref(), held);
