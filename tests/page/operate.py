@@ -414,7 +414,7 @@ def all_sizes(browser, cell):
             for screen in ["live", "goal", "jobs", "calibrate", "setup"]:
                 window.screen(screen)
                 window.page.wait_for_selector("main .card", timeout=LONG)
-                window.page.wait_for_timeout(400)
+                window.page.wait_for_timeout(200)
                 window.picture(f"{screen}-{name}-{scheme}")
                 wide = window.page.evaluate("() => document.documentElement.scrollWidth - window.innerWidth")
                 check(f"{screen} fits {name}", wide <= 1, f"{wide} px too wide")

@@ -45,6 +45,8 @@ impl Said {
 
     /// What is written into the journal, in words; plans and the job's end have notices.
     fn progress(&mut self, record: &Record) -> Option<String> {
+        // As in the job's story: from 1.
+        let of_step = |step: &usize, words: &str| format!("{}. {words}", step + 1);
         Some(match record {
             Record::Found { objects, goals } => {
                 format!("found {} objects on the table, {} of them with a goal", objects.len(), goals.len())
@@ -56,12 +58,13 @@ impl Said {
                     ActionKind::Goal => "its goal",
                     ActionKind::Buffer => "a temporary place",
                 };
-                format!("{step}. {object} is to be moved to {place}, x {:.3} m, y {:.3} m", to.x, to.y)
+                let words = format!("{object} is to be moved to {place}, x {:.3} m, y {:.3} m", to.x, to.y);
+                of_step(step, &words)
             }
-            Record::Gripped { step } => format!("{step}. {} is gripped", self.object),
-            Record::Released { step } => format!("{step}. {} is let go", self.object),
-            Record::Done { step } => format!("{step}. {} is done", self.object),
-            Record::Withdrawn { step } => format!("{step}. {} is not begun", self.object),
+            Record::Gripped { step } => of_step(step, &format!("{} is gripped", self.object)),
+            Record::Released { step } => of_step(step, &format!("{} is let go", self.object)),
+            Record::Done { step } => of_step(step, &format!("{} is done", self.object)),
+            Record::Withdrawn { step } => of_step(step, &format!("{} is not begun", self.object)),
             Record::LetGo { how } => {
                 format!("what was gripped last does not hang on the cups any more: {how}")
             }
@@ -80,7 +83,7 @@ mod tests {
     fn grips_approvals_and_refusals_are_in_the_log() {
         let mut said = Said::default();
         let intent = Record::Intent {
-            step: 2,
+            step: 1,
             object: "mug".into(),
             from: Pose2::default(),
             to: Pose2::new(0.1, 0.25, 0.0),
@@ -91,8 +94,8 @@ mod tests {
         let expected = [
             (Record::Approved, "a person approved a plan"),
             (intent, "2. mug is to be moved to a temporary place, x 0.100 m, y 0.250 m"),
-            (Record::Gripped { step: 2 }, "2. mug is gripped"),
-            (Record::Done { step: 2 }, "2. mug is done"),
+            (Record::Gripped { step: 1 }, "2. mug is gripped"),
+            (Record::Done { step: 1 }, "2. mug is done"),
         ];
         for (record, text) in expected {
             let line = said.line(&Effect::Commit { number: 1, record });

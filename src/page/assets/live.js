@@ -62,7 +62,8 @@ function now() {
   ];
 }
 
-/** The job before, where it did not come to its goal: why, and what is to be done. */
+/** The job before, where it did not come to its goal: why, and what is to be done. What a stop wants is said as
+    long as it is not left. */
 function unfinished() {
   const element = h("div", { id: "unfinished" });
   let key = null;
@@ -75,7 +76,7 @@ function unfinished() {
     try {
       const [last] = await api("jobs?last=1");
       const job = last && ["failed", "interrupted"].includes(last.state) ? await api("jobs/" + encodeURIComponent(last.id)) : null;
-      fill(element, job?.last ? h("p", { class: "note wrong" }, h("a", { href: "#jobs/" + encodeURIComponent(job.id) }, t("Job {job}", { job: job.id })), ": ", h("strong", {}, t(job.state)), ` – ${here(job.result?.message ?? "")}`, job.result?.hint ? [h("br"), "→ ", here(job.result.hint)] : "") : []);
+      fill(element, job?.last ? h("p", { class: "note wrong" }, h("a", { href: "#jobs/" + encodeURIComponent(job.id) }, t("Job {job}", { job: job.id })), ": ", h("strong", {}, t(job.state)), ` – ${here(job.result?.message ?? "")}`, job.state === "failed" && job.result?.hint ? [h("br"), "→ ", here(job.result.hint)] : "") : []);
     } catch { /* shown as stale elsewhere */ }
   };
   update();

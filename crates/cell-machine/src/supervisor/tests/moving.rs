@@ -4,6 +4,7 @@ use super::faults::working;
 use super::standing::moving_arm;
 use super::*;
 use crate::code::Code;
+use crate::device::robot_types::ProgramEnd;
 use crate::notified::{Notified, RESTS_AFTER};
 use crate::supervisor::input::CameraFault;
 use crate::supervisor::status::Doing;
@@ -94,6 +95,45 @@ fn the_end_of_celld_does_not_take_the_place_of_a_stop_that_is_still_to_be_left()
     let mut bench = working();
     bench.feed(Input::Shutdown);
     assert_eq!(bench.cell.status().stopped.map(|stop| stop.code), Some(Code::Shutdown));
+}
+
+/// Whoever presses Stop to be sure does not make the cell forget why it stopped, and in which job.
+#[test]
+fn an_abort_of_a_cell_that_rests_leaves_the_stop_before_it() {
+    let mut bench = working();
+    bench.robot.safety_mode = SafetyMode::ProtectiveStop;
+    let stopped = bench.feed(Input::Robot(RobotEvent::Safety { mode: SafetyMode::ProtectiveStop }));
+    assert!(ended(&stopped).is_some(), "{stopped:?}");
+    let stop_of = |bench: &Bench| {
+        let stop = bench.cell.status().stopped.expect("a stop");
+        (stop.code, stop.job)
+    };
+    let expected = (Code::ProtectiveStop, Some("j".to_string()));
+    assert_eq!(stop_of(&bench), expected);
+    bench.feed(Input::Robot(RobotEvent::Stopped));
+    bench.ticks(100);
+    bench.feed(order(Order::Abort));
+    assert_eq!(stop_of(&bench), expected, "nothing was left to stop");
+    bench.job(false);
+    bench.feed(order(Order::Abort));
+    assert_eq!(stop_of(&bench), (Code::Aborted, Some("j".to_string())), "a job ended by it");
+}
+
+/// A job that a missed heartbeat had left ends with both reasons.
+#[test]
+fn an_abort_of_a_job_that_a_stop_has_left_names_that_stop() {
+    let mut bench = working();
+    bench.cell.model.tolerances.stop_retries = 1;
+    bench.feed(Input::Robot(RobotEvent::ProgramEnded { reason: ProgramEnd::HeartbeatLost }));
+    bench.feed(Input::Robot(RobotEvent::Stopped));
+    bench.ticks(100);
+    let before = bench.cell.status().stopped.expect("a stop").message;
+    let report = bench.feed(order(Order::Abort)).into_iter().find_map(|action| match action {
+        Action::Commit { record: Record::Ended(report), .. } => Some(report),
+        _ => None,
+    });
+    let message = report.expect("the job has ended").message;
+    assert_eq!(message, format!("the operator stopped the cell; before that, {before}"));
 }
 
 /// A person guides the arm, and the robot becomes silent: it is not called at rest before it was seen so
