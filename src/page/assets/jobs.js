@@ -27,7 +27,7 @@ function detail(job) {
     h("div", { class: "row" }, h("a", { class: "button", href: `/api/v1/jobs/${id}/report${light()}`, target: "_blank" }, t("Report")), job.recorded && h("a", { class: "button", id: "playback", href: `/api/v1/jobs/${id}/playback${light()}`, target: "_blank" }, t("Play back"))),
     h("div", { class: "grid" },
       h("div", {}, h("h3", {}, t("Story")), h("pre", { tabindex: 0 }, job.story),
-        times.length ? [h("h3", {}, t("Where the time went")), h("table", {}, times.map(([what, seconds]) => h("tr", {}, h("td", {}, what), h("td", {}, `${number(seconds)} s`))))] : null,
+        times.length ? [h("h3", {}, t("Where the time went")), h("table", {}, times.map(([what, seconds]) => h("tr", {}, h("td", {}, t(what)), h("td", {}, `${number(seconds)} s`))))] : null,
         result?.objects.length ? [h("h3", {}, t("Objects")), h("table", {}, h("tr", {}, h("th", {}, t("object")), h("th", {}, t("off by"))),
           result.objects.map((object) => h("tr", {}, h("td", {}, object.id), h("td", {}, object.error_mm === null ? here(job.unseen[object.id] ?? "not seen") : `${number(object.error_mm)} mm, ${number(object.error_deg)}°`))))] : null),
       h("div", {}, image("plan.jpg", t("When the plan was made")), image("end.jpg", t("The last picture")), image("plan.svg", t("The plan")))),

@@ -91,7 +91,7 @@ function devices() {
       h("br"), h("span", { class: "soft" }, address, identity ? `, ${identity}` : "", age_s !== null && age_s > 2 ? `, ${t("answered {time} ago", { time: duration(age_s) })}` : ""))];
   return h("dl", {}, status.devices.map(row),
     arm && [h("dt", {}, t("safety")), h("dd", { id: "safety" }, arm.safety_mode), h("dt", {}, t("robot mode")), h("dd", {}, arm.robot_mode),
-      h("dt", {}, t("program")), h("dd", {}, arm.program, arm.guided ? `, ${t("guided by hand")}` : "", arm.remote === false ? `, ${t("not in remote control")}` : ""),
+      h("dt", {}, t("program")), h("dd", {}, t(arm.program), arm.guided ? `, ${t("guided by hand")}` : "", arm.remote === false ? `, ${t("not in remote control")}` : ""),
       h("dt", {}, t("speed")), h("dd", {}, `${Math.round(arm.speed * 100)} %`)],
     vacuum && [h("dt", {}, t("vacuum")), h("dd", {}, `A ${vacuum[0]} %, B ${vacuum[1]} %`)]);
 }

@@ -91,6 +91,7 @@ async function start() {
     return gate(message ?? (error.status === 401 ? null : error.message));
   }
   know(state.cell.objects.map(({ id }) => id));
+  document.querySelector(".skip").textContent = t("To the content");
   connect();
   show();
   window.addEventListener("hashchange", async () => {

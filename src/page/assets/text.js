@@ -76,11 +76,14 @@ function said(text) {
   return text.split(/(; |: |, then |\n)/).map((part, index) => (index % 2 ? table[part] ?? part : phrase(part))).join("");
 }
 
+/** A button's name in the quotation marks of the language. */
+const quoted = (name) => t("“{name}”", { name: t(name) });
+
 /** A sentence of the cell, with the names of this page's buttons in the place of the commands that do the same. */
 export function here(text) {
   return said(text ?? "")
-    .replace(/`?(?:celld recover )?--(place|hold|retreat|release)\b`?/g, (_, way) => `“${t(WAYS[way])}”`)
-    .replace(/`celld ([a-z]+)[^`]*`/g, (whole, word) => (BUTTONS[word] ? `“${t(BUTTONS[word])}”` : whole));
+    .replace(/`?(?:celld recover )?--(place|hold|retreat|release)\b`?/g, (_, way) => quoted(WAYS[way]))
+    .replace(/`celld ([a-z]+)[^`]*`/g, (whole, word) => (BUTTONS[word] ? quoted(BUTTONS[word]) : whole));
 }
 
 export const time = (unix) => new Date(unix * 1000).toLocaleTimeString(language());
