@@ -458,7 +458,7 @@ impl Shell {
 
     fn notify(&mut self, now: Timestamp, news: News, observer: &mut dyn Observer) {
         match news {
-            News::Identified(arm) => self.outcome.arm = Some(arm),
+            News::Identified(arm) => self.outcome.arm = Some(*arm),
             News::Notice(notice) => {
                 let (job, step) = (self.at_work.job.as_deref(), self.at_work.step);
                 if notice.alarm {

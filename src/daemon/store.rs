@@ -64,7 +64,7 @@ enum Request {
     Commit(u64, Record),
     Want,
     Cancel(u64, String),
-    Status(Status),
+    Status(Box<Status>),
 }
 
 /// The shell's end of the state folder.
@@ -116,7 +116,7 @@ impl Store {
     }
 
     /// Has the status published, some time; of several the last.
-    pub fn status(&self, status: Status) {
+    pub fn status(&self, status: Box<Status>) {
         self.send(Request::Status(status));
     }
 
@@ -171,7 +171,7 @@ struct Keeping {
 impl Keeping {
     /// Until no requester is left; what is left is written first.
     fn run(mut self, requested: &Receiver<Request>) {
-        let (mut wanted, mut status, mut last) = (false, None, None::<Status>);
+        let (mut wanted, mut status, mut last) = (false, None, None::<Box<Status>>);
         let (mut looked, mut published) = (Instant::now(), Instant::now());
         loop {
             self.beat.now();
@@ -316,7 +316,7 @@ mod tests {
         let store = open(keeper, vec![Box::new(orders)], sender);
         store.commit(7, Record::Done { step: 4 });
         for job in ["one", "two", "three"] {
-            store.status(status(job));
+            store.status(Box::new(status(job)));
         }
         let Some(Message::Event(Event::Order(3, Order::Abort))) = events.blocking_recv() else {
             panic!("the abort comes")

@@ -492,7 +492,7 @@ impl Pair {
                 self.due.push(Event::Commission { model, arm: false });
             }
             News::Notice(notice) => self.notices.push(notice),
-            News::Status(status) => self.status = Some(status),
+            News::Status(status) => self.status = Some(*status),
             News::Route(_) | News::Ended(_) => {}
         }
     }

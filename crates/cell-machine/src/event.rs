@@ -140,11 +140,11 @@ pub enum Effect {
 #[derive(Clone, Debug, Deserialize, Serialize)]
 pub enum News {
     /// The controller has said which arm it moves: time to commission the cell.
-    Identified(Arm),
+    Identified(Box<Arm>),
     /// A sentence.
     Notice(Notice),
     /// The status changed.
-    Status(Status),
+    Status(Box<Status>),
     /// A new route.
     Route(Vec<RouteAction>),
     /// A job ended; its report is on its way to the disk.

@@ -457,7 +457,7 @@ impl Machine {
         let moving = self.notified.moves(now, &seen, long) || status.moving;
         let status = Status { moving, ..status };
         if self.notified.status.as_ref() != Some(&status) {
-            self.effects.push_back(Effect::Notify(News::Status(status.clone())));
+            self.effects.push_back(Effect::Notify(News::Status(Box::new(status.clone()))));
             self.notified.status = Some(status);
             let route = supervisor.route();
             if self.notified.route != route {
@@ -483,6 +483,6 @@ impl Machine {
         }
         let arm = Arm { dh: *dh, checksum: checksum.clone(), serial: robot.serial.clone() };
         self.identity.reported = true;
-        self.effects.push_back(Effect::Notify(News::Identified(arm)));
+        self.effects.push_back(Effect::Notify(News::Identified(Box::new(arm))));
     }
 }
