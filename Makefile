@@ -183,7 +183,7 @@ test: setup tidy
 	  echo "cargo nextest run"; \
 	  idle="chrt --idle 0"; $$idle true 2>/dev/null || idle="nice -n 19"; \
 	  { logs=; \
-	    $$idle cargo test --quiet --no-fail-fast $(SHARED:%=-p %) --lib -- --test-threads 2 --skip realsense::tests:: \
+	    $$idle cargo test --quiet --no-fail-fast --features fleet $(SHARED:%=-p %) --lib -- --test-threads 2 --skip realsense::tests:: \
 	      >$(UNITS_LOG) 2>&1 || logs=$(UNITS_LOG); \
 	    $$idle cargo nextest run $(TESTED) -E '$(LOOPS)' >$(LOOPS_LOG) 2>&1 || logs="$$logs $(LOOPS_LOG)"; \
 	    [ -z "$$logs" ] || { cat $$logs; exit 1; }; } & beside=$$!; \
