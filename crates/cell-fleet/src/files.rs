@@ -20,8 +20,10 @@ use tokio::io::{AsyncRead, ReadBuf};
 /// What is in the bucket is for who requested it.
 const KEPT: Duration = Duration::from_secs(7 * 86_400);
 
-/// Bytes of the bucket: with streams and buckets of the usual sizes below the 10 GB of docs/fleet.md.
+/// Bytes of the bucket: with streams and buckets of the usual sizes below the 10 GB of docs/fleet.md. A server
+/// sets them aside, and where its disk has less left the bucket is smaller, down to the second.
 const BUCKET_BYTES: i64 = 4 << 30;
+const BUCKET_BYTES_LEAST: i64 = 64 << 20;
 
 /// Bytes of one file: a long recording.
 pub const FILE_BYTES_MAX: u64 = 1 << 30;
@@ -102,21 +104,29 @@ async fn bucket(context: &Context, fleet: &Fleet, replicas: usize) -> Result<Obj
     if let Ok(found) = context.get_object_store(&name).await {
         return Ok(found);
     }
-    let config = Config {
-        bucket: name.clone(),
-        description: Some("celld: files of jobs that a person asked for".to_string()),
-        max_age: KEPT,
-        max_bytes: BUCKET_BYTES,
-        storage: StorageType::File,
-        num_replicas: replicas,
-        ..Config::default()
-    };
-    match context.create_object_store(config).await {
-        Ok(made) => Ok(made),
+    let mut bytes = BUCKET_BYTES;
+    loop {
+        let config = Config {
+            bucket: name.clone(),
+            description: Some("celld: files of jobs that a person asked for".to_string()),
+            max_age: KEPT,
+            max_bytes: bytes,
+            storage: StorageType::File,
+            num_replicas: replicas,
+            ..Config::default()
+        };
+        let fault = match context.create_object_store(config).await {
+            Ok(made) => return Ok(made),
+            Err(error) => refusal_sentence("files", &error.to_string()),
+        };
         // Another cell made it at this moment.
-        Err(error) => {
-            context.get_object_store(&name).await.map_err(|_| refusal_sentence("files", &error.to_string()))
+        if let Ok(found) = context.get_object_store(&name).await {
+            return Ok(found);
         }
+        if !is_full(&fault) || bytes <= BUCKET_BYTES_LEAST {
+            return Err(fault);
+        }
+        bytes /= 2;
     }
 }
 

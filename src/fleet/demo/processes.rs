@@ -113,8 +113,11 @@ pub fn nats(program: &Path, folder: &Path) -> Result<(Process, String), String> 
         std::fs::create_dir_all(path).map_err(|error| format!("{}: {error}", path.display()))?;
     }
     let config = folder.join("nats.conf");
+    // What streams may grow to is set aside at once, and a disk that is nearly full would refuse the fleet:
+    // the limit of docs/fleet.md in place of three quarters of what is free. Little of it is ever written.
     let text = format!(
-        "listen: \"127.0.0.1:-1\"\nports_file_dir: \"{}\"\njetstream {{ store_dir: \"{}\", sync_interval: always }}\n",
+        "listen: \"127.0.0.1:-1\"\nports_file_dir: \"{}\"\njetstream {{ store_dir: \"{}\", max_file_store: 10GB, \
+         sync_interval: always }}\n",
         ports.display(),
         store.display()
     );

@@ -33,7 +33,8 @@ impl Server {
             let port = free_port();
             let store = server.folder.path().join(format!("store-{number}"));
             let mut text = format!(
-                "server_name: \"n{number}\"\nlisten: \"127.0.0.1:{port}\"\njetstream {{store_dir: \"{}\"{sync}}}\n",
+                "server_name: \"n{number}\"\nlisten: \"127.0.0.1:{port}\"\njetstream {{store_dir: \"{}\", \
+                 max_file_store: 10GB{sync}}}\n",
                 store.display()
             );
             if nodes > 1 {

@@ -65,9 +65,13 @@ impl Server {
         server
     }
 
-    /// A server with JetStream that writes every message to the disk before it answers.
+    /// A server with JetStream that writes every message to the disk before it answers. Its room is a number,
+    /// since what a server takes of itself is a share of what this computer's disk has left.
     pub fn usual(program: &Path) -> Server {
-        Server::start(program, "jetstream {store_dir: \"STORE\", sync_interval: always}")
+        Server::start(
+            program,
+            "jetstream {store_dir: \"STORE\", max_file_store: 10GB, sync_interval: always}",
+        )
     }
 
     pub fn up(&mut self) {
