@@ -36,19 +36,25 @@ pub fn story(job: &JobRecord, steps: &[StepRecord], is_last: bool) -> String {
         let time = unix_s.map_or_else(|| " ".repeat(20), utc::text);
         let _ = writeln!(text, "{time}  {what}");
     }
+    let times = job.result.iter().flat_map(|result| &result.times);
+    let used: Vec<_> = times.map(|(what, seconds)| format!("{what} {seconds:.1}")).collect();
+    if !used.is_empty() {
+        let _ = writeln!(text, "{}  where the time went, s: {}", " ".repeat(20), used.join(", "));
+    }
     text.push_str(&objects(job, steps));
     text
 }
 
-/// What happened, with its time (s since 1970) where that is known, in order.
+/// What happened, with its time (s since 1970) where that is known, in order. The page has each line in
+/// other languages too: phrases end at `: ` and `; `, and names have such a phrase to themselves.
 pub fn story_lines(job: &JobRecord, steps: &[StepRecord]) -> Vec<(Option<f64>, String)> {
     let mut lines: Vec<(Option<f64>, String)> = Vec::new();
     let mut at = |unix_s: Option<f64>, what: String| lines.push((unix_s, what));
     let priority = match job.spec.priority {
         0 => String::new(),
-        other => format!(", priority {other}"),
+        other => format!("; priority {other}"),
     };
-    at(Some(job.claimed_unix_s), format!("taken up from {}{priority}", job.name));
+    at(Some(job.claimed_unix_s), format!("taken up: {}{priority}", job.name));
     if let Some(started) = job.started_unix_s {
         at(Some(started), "begun".to_string());
     }
@@ -80,9 +86,7 @@ pub fn story_lines(job: &JobRecord, steps: &[StepRecord]) -> Vec<(Option<f64>, S
         of_step(step.changed_unix_s, &how_far(step));
     }
     if let Some(result) = &job.result {
-        let used: Vec<_> = result.times.iter().map(|(what, s)| format!("{what} {s:.1}")).collect();
-        let used = if used.is_empty() { String::new() } else { format!(" (s: {})", used.join(", ")) };
-        at(job.ended_unix_s, format!("{} after {:.1} s{used}", result.status, result.seconds));
+        at(job.ended_unix_s, format!("{} after {:.1} s", result.status, result.seconds));
     }
     in_order(lines)
 }
@@ -315,8 +319,7 @@ mod tests {
             ..JobRecord::sample("tidy")
         };
         let steps = [gripped(pose), let_go(pose)];
-        let row = how_far_at(&steps[1], job.ended_unix_s);
-        assert_eq!(row, "was gripped, on its way to its goal", "when its job ended");
+        assert_eq!(how_far_at(&steps[1], job.ended_unix_s), "was gripped, on its way to its goal");
         let old = story(&job, &steps, false);
         assert!(old.contains("\nwhat was to be done: see where it lies\n"), "{old}");
         insta::assert_snapshot!(story(&job, &steps, true), @r"
@@ -324,15 +327,16 @@ mod tests {
         mug was lost
         to do: see where it lies
 
-        2026-11-21T08:00:00Z  taken up from tidy.yaml
+        2026-11-21T08:00:00Z  taken up: tidy.yaml
         2026-11-21T08:00:01Z  begun
         2026-11-21T08:00:08Z  found 1 objects on the table, 1 of them with a goal
         2026-11-21T08:00:09Z  planned: 0 pick-n-places, lower bound 1, about 8 s
                               a person approved a plan
         2026-11-21T08:00:20Z  1. mug was gripped, on its way to its goal
         2026-11-21T08:00:25Z  2. mug was gripped, on its way to its goal
-        2026-11-21T08:00:30Z  failed after 29.0 s (s: travel 12.0)
+        2026-11-21T08:00:30Z  failed after 29.0 s
         2026-11-21T08:00:40Z  2. mug was off the gripper on its way to its goal: it was taken off by a person's order
+                              where the time went, s: travel 12.0
 
           mug: not seen since it was gripped; it was taken off by a person's order
         ");

@@ -49,6 +49,9 @@ pub struct Status {
     /// The ways back that may be taken now; none where there is nothing to leave.
     #[serde(default)]
     pub ways: Vec<String>,
+    /// Why an order to arm would be refused now, as it would be answered; none where it would be taken.
+    #[serde(default)]
+    pub arm_refused: Option<String>,
     /// Why no job is begun although none is active.
     #[serde(default)]
     pub blocked: Option<String>,

@@ -109,7 +109,13 @@ pub fn asset(path: &str, headers: &HeaderMap) -> Response {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::jobs::history::story_lines;
+    use crate::jobs::record::{
+        GoalPose, JobRecord, JobResult, PlanRecord, PlanStep, StepIntent, StepKind, StepPhase, StepRecord,
+    };
+    use cell_machine::code::JobStatus;
     use cell_machine::supervisor::gates::GateClosed;
+    use rearrange::geometry::pose::Pose2;
     use std::collections::{BTreeMap, BTreeSet};
 
     fn file(name: &str) -> &'static str {
@@ -199,6 +205,96 @@ mod tests {
             GateClosed::NotApproved,
         ];
         safety.map(GateClosed::Safety).into_iter().chain(others).collect()
+    }
+
+    /// A line of a job's story, phrase by phrase as the page has it, with its holes.
+    fn phrases_of(line: &str) -> Vec<String> {
+        let mut holes = String::new();
+        for c in line.replace("mug", "OBJECT").chars() {
+            match (c.is_ascii_digit(), holes.ends_with('#')) {
+                (true, false) => holes.push('#'),
+                (true, true) => {}
+                (false, _) => holes.push(c),
+            }
+        }
+        let holes = holes.replace("#.#", "#");
+        holes.split("; ").flat_map(|part| part.split(": ")).map(str::to_string).collect()
+    }
+
+    #[test]
+    fn the_story_of_a_job_is_there_in_german() {
+        let german = german();
+        let mut lines = 0;
+        for shape in 0..16 {
+            let (job, steps) = story_of(shape);
+            for (_, line) in story_lines(&job, &steps) {
+                for phrase in phrases_of(&line).iter().filter(|phrase| !phrase.contains(".yaml")) {
+                    assert!(german.contains_key(phrase), "{line:?}: {phrase:?} is not in text-de.json");
+                }
+                lines += 1;
+            }
+        }
+        assert!(lines > 100, "{lines}");
+    }
+
+    /// A job with all that its story may have; the bits of `shape` say which parts of its plan are known.
+    fn story_of(shape: u32) -> (JobRecord, Vec<StepRecord>) {
+        let has = |bit: u32| shape & (1 << bit) != 0;
+        let kind = if has(0) { StepKind::Buffer } else { StepKind::Goal };
+        let pose = Pose2::new(0.1, 0.2, 0.0);
+        let intent = || StepIntent {
+            object: "mug".into(),
+            from: pose,
+            to: pose,
+            kind,
+            tool_from_object: None,
+            table: Vec::new(),
+        };
+        let phases = [StepPhase::Intent, StepPhase::Gripped, StepPhase::Done, StepPhase::Abandoned];
+        let step = |phase| StepRecord {
+            step: 1,
+            intent: intent(),
+            phase,
+            changed_unix_s: 5.0,
+            gripped_unix_s: None,
+            note: None,
+        };
+        let let_go = StepRecord {
+            note: Some("it was taken off by a person's order".into()),
+            gripped_unix_s: Some(6.0),
+            ..step(StepPhase::Released)
+        };
+        let steps = phases.into_iter().map(step).chain([let_go]).collect();
+        let status = [JobStatus::Done, JobStatus::Failed, JobStatus::Cancelled, JobStatus::Interrupted]
+            [shape as usize % 4];
+        let mut job = JobRecord::sample("tidy");
+        job.spec.priority = 2;
+        job.started_unix_s = Some(1.0);
+        job.found = vec![GoalPose { id: "mug".into(), pose }];
+        job.approved = Some("[]".into());
+        job.plan = Some(PlanRecord {
+            number: 1,
+            steps: vec![PlanStep { object: "mug".into(), from: pose, to: pose, kind }],
+            lower_bound: has(1).then_some(1.0),
+            seconds: has(2).then_some(8.0),
+            table: Vec::new(),
+            preview: has(3),
+            sight_age_s: 12.0,
+            unix_s: 3.0,
+        });
+        job.result = Some(JobResult {
+            id: "tidy".into(),
+            status,
+            code: String::new(),
+            message: String::new(),
+            hint: String::new(),
+            moves: 1,
+            lower_bound: None,
+            seconds: 29.0,
+            times: BTreeMap::new(),
+            objects: Vec::new(),
+        });
+        (job, steps)
     }
 
     /// What the pages say that the cell answers, and what an operator reads after a fault, phrase by phrase.

@@ -3,7 +3,7 @@
 
 use crate::page::calibration::steps;
 use crate::page::shared::App;
-use crate::page::{assets, film, guard, live, markers, metrics, records, session, shift, work};
+use crate::page::{again, assets, film, guard, live, markers, metrics, records, session, shift, work};
 use axum::Router;
 use axum::extract::{DefaultBodyLimit, Path, State};
 use axum::handler::Handler;
@@ -108,7 +108,8 @@ fn all(app: Option<App>) -> Routes {
     );
     picture_routes(&mut r);
     calibration_routes(&mut r);
-    work_routes(&mut r);
+    job_routes(&mut r);
+    goal_routes(&mut r);
     r
 }
 
@@ -163,12 +164,21 @@ fn calibration_routes(r: &mut Routes) {
     );
 }
 
-fn work_routes(r: &mut Routes) {
+fn job_routes(r: &mut Routes) {
     use Role::{Operate, View};
     r.add(get("/api/v1/jobs", View, "Jobs, the newest first (last, failed, since, object)"), work::jobs);
     r.add(
         post("/api/v1/jobs", Operate, "Submit a job; 422 with the reason where it is refused", "JobText"),
         work::submit,
+    );
+    r.add(
+        post(
+            "/api/v1/jobs/{id}/again",
+            Operate,
+            "Submit the goal of a job again, as a job of its own",
+            "Nothing",
+        ),
+        again::again,
     );
     r.add(get("/api/v1/jobs/{id}", View, "A job with its story, plan, steps and result"), work::job);
     r.add(
@@ -197,6 +207,10 @@ fn work_routes(r: &mut Routes) {
         work::file,
     );
     r.add(get("/api/v1/shift", View, "Counts and throughput since a time (since)"), shift::shift);
+}
+
+fn goal_routes(r: &mut Routes) {
+    use Role::{Operate, View};
     r.add(
         post(
             "/api/v1/preview",

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::watch;
 
 /// Of JPEG: what is looked at while it moves.
-const QUALITY: u8 = 70;
+const QUALITY: u8 = 60;
 
 /// A picture is of now for so long.
 const OF_NOW: Duration = Duration::from_secs(3);

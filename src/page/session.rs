@@ -16,7 +16,7 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use cell_edge::clock::unix_now_s;
 use cell_edge::peer::user_of;
-use cell_machine::orders::{Order, Reply};
+use cell_machine::orders::{Order, Reply, WayBack};
 use serde::Deserialize;
 use serde_json::json;
 use std::net::IpAddr;
@@ -234,6 +234,8 @@ fn may_order(app: &Shared, order: &Order, ordered: &Ordered, giver: &Giver) -> R
     match order {
         // The machine compares the plan's number with that of the plan that waits.
         Order::Approve { plan: Some(_), .. } | Order::Reject(_) => return Ok(()),
+        // It shows how things are, and changes nothing.
+        Order::Recover(WayBack::Show) => return Ok(()),
         Order::Approve { plan: None, .. } => {
             let message = "say which plan is agreed to: its `number`, as in the status, as `plan`";
             return Err((StatusCode::BAD_REQUEST, message.into()));
@@ -267,7 +269,7 @@ mod tests {
     use crate::page::orders::order_channel;
     use crate::page::shared::Setup;
     use crate::page::texts::Texts;
-    use cell_machine::orders::{Channels, Role, WayBack};
+    use cell_machine::orders::{Channels, Role};
     use std::path::Path;
 
     /// A page that no loop feeds: of an old state.
@@ -309,6 +311,7 @@ mod tests {
             (Order::Park, true),
             (Order::Release(Channels::Both), true),
             (Order::Recover(WayBack::Release), true),
+            (Order::Recover(WayBack::Show), false),
             (Order::ConfirmGripper, true),
             (Order::Calibrate, true),
             (Order::Approve { id: id(), plan: Some(1) }, false),

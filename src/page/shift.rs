@@ -2,7 +2,7 @@
 //!
 //! In: the journal, read as any other process reads it. Out: JSON. An hour counts from the first job on,
 //! and a move takes no time in which a person or a gate was waited for: both would say more of the people
-//! than of the cell.
+//! than of the cell. A job that a restart has ended counts with its moves, not with its time.
 
 use crate::jobs::history::JobFilter;
 use crate::jobs::record::{JobRecord, JobResult, JobState};
@@ -50,14 +50,17 @@ fn counts(jobs: &[JobRecord], begun: f64, now: f64) -> Value {
     let results = || jobs.iter().filter_map(|job| job.result.as_ref());
     let moves: u64 = results().map(|result| u64::from(result.moves)).sum();
     let waited = |result: &JobResult| result.times.get(Use::Waiting.as_str()).copied().unwrap_or(0.0);
-    let busy_s: f64 = results().map(|result| (result.seconds - waited(result)).max(0.0)).sum();
+    // A job that a restart has ended has the time since it began, and no account of it.
+    let accounted = || results().filter(|result| !result.times.is_empty());
+    let busy_s: f64 = accounted().map(|result| (result.seconds - waited(result)).max(0.0)).sum();
+    let timed: u64 = accounted().map(|result| u64::from(result.moves)).sum();
     let first = jobs.iter().map(|job| job.claimed_unix_s).fold(now, f64::min).max(begun);
     let hours = ((now - first) / 3600.0).max(1e-3);
     json!({
         "since_unix_s": begun, "hours": hours, "done": of(JobStatus::Done), "failed": of(JobStatus::Failed),
         "cancelled": of(JobStatus::Cancelled), "interrupted": of(JobStatus::Interrupted), "moves": moves,
         "moves_per_hour": moves as f64 / hours, "busy_share": (busy_s / (now - first).max(1.0)).min(1.0),
-        "seconds_per_move": (moves > 0).then(|| busy_s / moves as f64),
+        "seconds_per_move": (timed > 0).then(|| busy_s / timed as f64),
     })
 }
 
@@ -89,6 +92,10 @@ mod tests {
         assert_eq!((shift["moves"].as_u64(), shift["moves_per_hour"].as_f64()), (Some(6), Some(6.0)));
         assert_eq!(shift["seconds_per_move"].as_f64(), Some(10.0));
         assert_eq!(shift["busy_share"].as_f64(), Some(60.0 / 3600.0));
+        let mut ended_by_a_restart = job(begun + 6000.0, 3000.0, 0.0, 3);
+        ended_by_a_restart.result.iter_mut().for_each(|result| result.times.clear());
+        let shift = counts(&[jobs[1].clone(), ended_by_a_restart], begun, begun + 2.0 * 3600.0);
+        assert_eq!((shift["moves"].as_u64(), shift["seconds_per_move"].as_f64()), (Some(7), Some(10.0)));
         let none = counts(&[], begun, begun + 3600.0);
         assert_eq!((none["moves_per_hour"].as_f64(), &none["seconds_per_move"]), (Some(0.0), &Value::Null));
     }

@@ -7,7 +7,7 @@ use crate::daemon::job_orders::{found_by, job_context, job_order};
 use crate::daemon::plan_files;
 use crate::daemon::recordings_folder::recordings_of;
 use crate::jobs::goal::{GoalEntry, find_goal_file, parse_goal_file, read_goal_file};
-use crate::jobs::history::{JobFilter, since, story, unseen};
+use crate::jobs::history::{JobFilter, since, story, story_lines, unseen};
 use crate::jobs::job_file::read_job;
 use crate::jobs::journal::Journal;
 use crate::jobs::record::{GoalPose, JobRecord, JobSpec, StepRecord, quoted};
@@ -153,6 +153,8 @@ pub async fn job(State(app): State<App>, Path(id): Path<String>) -> Result<Respo
         let is_last = last.as_deref() == Some(&job.id);
         body["last"] = is_last.into();
         body["story"] = story(&job, &steps, is_last).into();
+        let line = |(unix_s, text)| json!({ "unix_s": unix_s, "text": text });
+        body["lines"] = story_lines(&job, &steps).into_iter().map(line).collect();
         body["text"] = job.text.clone().into();
         body["approval"] = json!(job.spec.approval);
         body["plan"] = json!(job.plan);
@@ -212,7 +214,7 @@ pub struct JobText {
 }
 
 /// What a job is read against: the cell, its goal folder, what other jobs found.
-fn read(app: &Shared, text: &str) -> Result<JobSpec, Refused> {
+pub(super) fn read(app: &Shared, text: &str) -> Result<JobSpec, Refused> {
     let obstacles = app.cell.obstacles();
     let read_goal = |name: &str| match std::path::Path::new(name).file_name() {
         Some(last) if is_goal_name(&last.to_string_lossy()) => read_goal_file(&app.cell.goal_folder, name),
@@ -252,7 +254,7 @@ pub async fn submit(
 }
 
 /// What the daemon says of a job file.
-fn verdict(app: &Shared, handed: &Handed) -> Result<Response, Refused> {
+pub(super) fn verdict(app: &Shared, handed: &Handed) -> Result<Response, Refused> {
     let begun = Instant::now();
     loop {
         match look(&app.state, handed).map_err(|error| Refused::fault(chain(&error)))? {

@@ -80,6 +80,7 @@ pub static STATES: &[State] = &[
     State { name: "carrying", reach: |pair, stage| works(pair, stage, "carrying") },
     State { name: "retreating", reach: |pair, stage| works(pair, stage, "retreating") },
     State { name: "paused, a job under way", reach: paused },
+    State { name: "paused after the last pick-n-place", reach: paused_after_the_last },
     State { name: "parking", reach: parks },
     State { name: "on a calibration round", reach: rounds },
     State { name: "carrying, paused at the pendant", reach: |pair, stage| with(pair, stage, "ur.pause", 60) },
@@ -108,8 +109,12 @@ pub struct Found {
     pub reply: Option<Reply>,
     /// The cell was armed when the order was given, and is after the answer.
     pub armed: (bool, bool),
+    /// Why the status said an order to arm would be refused, when the order was given.
+    pub arm_refused: Option<String>,
     /// A pause was in force after the answer.
     pub paused: bool,
+    /// And is at the end of what was watched.
+    pub stays_paused: bool,
     /// The arm was at rest when the order was given, and nothing ordered before was about to move it.
     pub rested: bool,
     /// The arm moved after the answer.
@@ -150,6 +155,7 @@ pub fn case(stage: &Stage, state: &State, given: &Given) -> Result<Found, String
         held: (holds(&pair), false),
         ..Found::default()
     };
+    found.arm_refused = pair.status().and_then(|status| status.arm_refused.clone());
     let ended = pair.reports().len();
     let active = pair.store().active().unwrap_or("none").to_string();
     pair.take_replies();
@@ -164,6 +170,7 @@ pub fn case(stage: &Stage, state: &State, given: &Given) -> Result<Found, String
     found.armed.1 = is_armed(&pair);
     found.paused = pair.status().is_some_and(|status| status.paused);
     watch(&mut pair, &mut found);
+    found.stays_paused = pair.status().is_some_and(|status| status.paused);
     found.held.1 = holds(&pair);
     found.ended = pair.reports().get(ended).map(|report| report.code.to_string());
     found.breaches = pair.breaches().iter().map(|breach| format!("{:?}", breach.rule)).collect();
@@ -198,6 +205,10 @@ pub fn judge(given: &Given, found: &Found) -> Vec<String> {
         }
     };
     let says = |word: &str| reply.message.contains(word);
+    if given.command == "arm" {
+        let foretold = found.arm_refused.as_ref().is_none_or(|said| *said == reply.message);
+        must(foretold && found.arm_refused.is_none() == reply.accepted, "the status says otherwise");
+    }
     if !reply.accepted {
         must(found.armed.1 <= found.armed.0, "refused, and armed all the same");
         must(found.armed.0 || !found.rested || !found.moves, "refused, and the arm sets off");
@@ -224,7 +235,10 @@ pub fn judge(given: &Given, found: &Found) -> Vec<String> {
         }
         "pause" => must(found.paused && found.rests, "a pause brings the arm to rest"),
         "resume" => must(!found.paused, "no pause is left"),
-        "step" => must(found.armed.1, "a step is of an armed cell"),
+        "step" => {
+            must(found.armed.1, "a step is of an armed cell");
+            must(!says("a last look") || found.stays_paused, "a pause follows");
+        }
         "park" => {
             must(found.parked || says("approved") || says("held now") || says("already"), "the arm is parked")
         }
@@ -326,6 +340,15 @@ fn paused(pair: &mut Pair, stage: &Stage) -> bool {
     let carries = works(pair, stage, "carrying");
     pair.order(Order::Pause);
     carries && shows(pair, "paused") && rests(pair)
+}
+
+fn paused_after_the_last(pair: &mut Pair, stage: &Stage) -> bool {
+    let mut there = paused(pair, stage);
+    while there && pair.status().is_some_and(|status| status.remaining_moves > 0) {
+        pair.order(Order::Step);
+        there = rests(pair) && shows(pair, "paused");
+    }
+    there && rests(pair)
 }
 
 fn parks(pair: &mut Pair, stage: &Stage) -> bool {

@@ -110,7 +110,7 @@ const play = h("button", { type: "button", id: "play", click: () => { playing = 
 const step = (by) => h("button", { type: "button", click: () => to(now + by) }, `${by > 0 ? "+" : ""}${by} s`);
 const [drawn, flank, words, picture] = [h("div"), h("div"), h("div", { class: "state", role: "status" }), h("img", { alt: "The last picture of the camera", hidden: "" })];
 const age = h("p", { class: "soft" });
-const marks = run.sentences.map(({ at, alarm, text }) => ({ at, item: h("li", {}, h("button", { type: "button", class: alarm ? "wrong" : null, click: () => to(at) }, `${moment(at).slice(11, 21)}  ${text}`)) }));
+const marks = run.sentences.map(({ at, alarm, text }) => ({ at, item: h("li", {}, h("button", { type: "button", class: alarm ? "alarm" : null, click: () => to(at) }, `${moment(at).slice(11, 21)}  ${text}`)) }));
 
 function to(time) {
   now = Math.min(length, Math.max(0, time));

@@ -166,6 +166,7 @@ def pause_and_disarm_on_the_way(page, window):
     """What is under way is finished: so long no badge says that the arm rests."""
     expect(page.locator("#holding")).to_be_visible()
     page.click("#order-pause")
+    window.text("#bar-mode", "pausing, MAY STILL MOVE")
     window.text("#paused", "pausing, THE ARM MAY STILL MOVE")
     expect(page.locator("#paused")).to_have_text("paused")
     check("a pause is plain once the arm rests", not page.locator("#holding").is_visible())
@@ -256,6 +257,21 @@ def ways_are_those_that_the_cell_takes(page, client):
     check("and what is held can be put down", "place" in enabled, said)
 
 
+def submit_again(window):
+    """The goal of a job that failed, without setting it again."""
+    page = window.page
+    window.screen("jobs/second")
+    window.text("#story", "taken up")
+    page.click("#again")
+    window.text("#submitted", "second.2")
+    window.picture("jobs-again")
+    window.screen("live")
+    window.text("main", "Job second.2")
+    page.click("#order-cancel")
+    expect(page.locator("#order-cancel")).to_have_count(0)
+    window.text("#last", "second.2")
+
+
 def stop_with_an_object(window, cell):
     page = window.page
     token = cell.open("--token", "--role", "approve", "--name", "client")
@@ -276,6 +292,8 @@ def stop_with_an_object(window, cell):
     window.text("#stopped", "protective stop")
     check("the stop is shown with an object in the gripper", page.locator("#holding").is_visible())
     check("the table has it where the arm has it", page.locator("#carried").count() == 1)
+    window.text("#arm-refused", "not armed")
+    check("what would be refused cannot be pressed", page.locator("#order-arm").is_disabled())
     window.picture("live-stopped")
     window.sound("a stop")
     check("what an order began is not announced beside the stop", page.locator("#answer.over").count() == 0)
@@ -293,6 +311,9 @@ def stop_with_an_object(window, cell):
     expect(page.locator("#carried")).to_have_count(0)
     expect(page.locator("#unfinished")).to_contain_text("second", timeout=LONG)
     check("the job that the stop ended is named once it is left", "protective stop" in page.locator("#unfinished").inner_text())
+    expect(page.locator("#order-arm")).to_be_enabled()
+    check("and the cell can be armed again", page.locator("#arm-refused").count() == 0)
+    submit_again(window)
     check("and where it was put, until it is seen there", page.locator(".t-unseen").count() == 1)
     window.text("#bar-mode", "disarmed")
     window.screen("goal")
@@ -432,6 +453,8 @@ def all_sizes(browser, cell):
                 said = window.page.locator("#message").inner_text()
                 check("the cell's own words are German", said in ("ruht", "angehalten"), said)
                 job = window.page.evaluate("() => import('/text.js').then((text) => text.here('job tidy-7 is under way; job none is not the active one'))")
+                step = window.page.evaluate("() => import('/text.js').then((text) => text.here('2. lid was gripped, on its way to its goal'))")
+                check("and so is the story of a job", step == "2. lid wurde gegriffen, unterwegs zu seinem Ziel", step)
                 check("whatever a job is called", job == "Auftrag tidy-7 läuft; Auftrag none ist nicht der laufende", job)
                 check("German is spoken", "Befehle" in window.page.evaluate("() => fetch('/text-de.json').then((a) => a.text())") and window.page.locator("nav").inner_text().startswith("Jetzt"))
             window.context.close()

@@ -20,8 +20,8 @@ use tokio::io::{AsyncRead, ReadBuf};
 /// What is in the bucket is for who requested it.
 const KEPT: Duration = Duration::from_secs(7 * 86_400);
 
-/// Bytes of the bucket: with streams and buckets of the usual sizes below the 10 GB of docs/fleet.md. A server
-/// sets them aside, and where its disk has less left the bucket is smaller, down to the second.
+/// Bytes of the bucket: with streams and buckets of the usual sizes below the 10 GB of docs/fleet.md. A
+/// server sets them aside, and where its disk has less left the bucket is smaller, down to the second.
 const BUCKET_BYTES: i64 = 4 << 30;
 const BUCKET_BYTES_LEAST: i64 = 64 << 20;
 

@@ -98,10 +98,11 @@ impl Order {
             | Order::Step
             | Order::Park
             | Order::Release(_)
-            | Order::Recover(_)
+            | Order::Recover(WayBack::Place | WayBack::Hold | WayBack::Release | WayBack::Retreat)
             | Order::ConfirmGripper
             | Order::Calibrate => true,
-            Order::Disarm
+            Order::Recover(WayBack::Show)
+            | Order::Disarm
             | Order::Approve { .. }
             | Order::Reject(_)
             | Order::Cancel(_)
@@ -113,7 +114,7 @@ impl Order {
     /// The least role that may give it.
     pub fn least_role(&self) -> Role {
         match self {
-            Order::Disarm | Order::Pause | Order::Abort => Role::View,
+            Order::Disarm | Order::Pause | Order::Abort | Order::Recover(WayBack::Show) => Role::View,
             Order::Arm
             | Order::Cancel(_)
             | Order::Resume

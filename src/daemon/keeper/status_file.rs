@@ -61,6 +61,7 @@ impl StateKeeper {
                 job: stop.job.clone(),
             }),
             ways: status.ways.iter().map(|way| way.as_str().to_string()).collect(),
+            arm_refused: status.arm_refused.clone(),
             refused: self.refused.clone(),
             devices: status.devices.iter().map(|device| self.device(device)).collect(),
             fleet: self.remarks.lock().map(|remarks| remarks.clone()).unwrap_or_default(),

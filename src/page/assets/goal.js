@@ -30,7 +30,7 @@ function jobText() {
 }
 
 /** What submitting lets begin at once; null where the cell has to be armed first. */
-function whatSubmitStarts() {
+export function whatSubmitStarts() {
   const { status } = state;
   if (!status?.armed) return null;
   if (status.job) return t("The cell is armed: the job begins behind {job}.", { job: status.job });

@@ -1,8 +1,9 @@
 // Jobs: what became of each, and why.
 
 import { h, card, fill } from "./dom.js";
-import { api, on, state } from "./net.js";
-import { here, t, moment, duration, number } from "./text.js";
+import { api, may, on, state } from "./net.js";
+import { whatSubmitStarts } from "./goal.js";
+import { here, t, moment, time, duration, number } from "./text.js";
 
 /** Report and played-back run in the light of this page. */
 const light = () => (localStorage.getItem("theme") ? `?theme=${localStorage.getItem("theme")}` : "");
@@ -16,7 +17,22 @@ function row(job, open) {
     h("td", {}, job.seconds === null ? "–" : duration(job.seconds)), h("td", {}, here(job.message ?? "")));
 }
 
-function detail(job) {
+/** The same goal as a job of its own; what that lets begin is said before. `starting` is kept of now, and
+    `said`, where the answer goes, stays when this job is drawn anew. */
+function onceMore(job, { said, starting }) {
+  const submit = async () => {
+    const starts = whatSubmitStarts();
+    try {
+      const { id, state: became, message } = await api(`jobs/${encodeURIComponent(job.id)}/again`, { method: "POST" });
+      fill(said, h("p", { class: "note", id: "submitted" }, t("Submitted: job {job}, {state}.", { job: id, state: t(became) }), message ? ` ${here(message)}` : "", starts ? [" ", h("strong", {}, starts)] : "", " ", h("a", { href: "#live" }, t("To the cell"))));
+    } catch (error) {
+      fill(said, h("p", { class: "note wrong" }, here(error.message)));
+    }
+  };
+  return [h("button", { type: "button", id: "again", disabled: !may("operate"), click: submit }, t("Submit again")), starting];
+}
+
+function detail(job, parts) {
   const id = encodeURIComponent(job.id);
   const result = job.result;
   const times = Object.entries(result?.times ?? {}).filter(([, seconds]) => seconds > 0.05).sort((a, b) => b[1] - a[1]);
@@ -24,9 +40,9 @@ function detail(job) {
   return [
     h("p", { class: "say" }, word(job.state), job.ended_unix_s ? h("span", { class: "soft" }, `, ${moment(job.ended_unix_s)}`) : "", result ? ` – ${here(result.message)}` : ""),
     result?.hint && h("p", { class: "hint" }, job.last ? "→ " : `${t("what was to be done")}: `, here(result.hint)),
-    h("div", { class: "row" }, h("a", { class: "button", href: `/api/v1/jobs/${id}/report${light()}`, target: "_blank" }, t("Report")), job.recorded && h("a", { class: "button", id: "playback", href: `/api/v1/jobs/${id}/playback${light()}`, target: "_blank" }, t("Play back"))),
+    h("div", { class: "row" }, h("a", { class: "button", href: `/api/v1/jobs/${id}/report${light()}`, target: "_blank" }, t("Report")), job.recorded && h("a", { class: "button", id: "playback", href: `/api/v1/jobs/${id}/playback${light()}`, target: "_blank" }, t("Play back")), job.ended_unix_s && onceMore(job, parts)),
     h("div", { class: "grid" },
-      h("div", {}, h("h3", {}, t("Story")), h("pre", { tabindex: 0 }, job.story),
+      h("div", {}, h("h3", {}, t("Story")), h("div", { class: "scroll" }, h("table", { id: "story" }, job.lines.map(({ unix_s, text }) => h("tr", {}, h("td", { class: "when soft" }, unix_s === null ? "" : time(unix_s)), h("td", {}, here(text)))))),
         times.length ? [h("h3", {}, t("Where the time went")), h("table", {}, times.map(([what, seconds]) => h("tr", {}, h("td", {}, t(what)), h("td", {}, `${number(seconds)} s`))))] : null,
         result?.objects.length ? [h("h3", {}, t("Objects")), h("table", {}, h("tr", {}, h("th", {}, t("object")), h("th", {}, t("off by"))),
           result.objects.map((object) => h("tr", {}, h("td", {}, object.id), h("td", {}, object.error_mm === null ? here(job.unseen[object.id] ?? "not seen") : `${number(object.error_mm)} mm, ${number(object.error_deg)}°`))))] : null),
@@ -39,13 +55,14 @@ export function jobsPage(main, chosen) {
   const wanted = h("input", { type: "search", id: "object", placeholder: t("object"), "aria-label": t("only jobs with this object"), change: () => update() });
   const list = h("tbody");
   const none = h("p", { class: "soft" });
+  const [said, starting] = [h("div", { role: "status", "aria-live": "polite" }), h("span", { class: "soft", id: "starts" })];
   const one = h("div", { role: "region", "aria-live": "polite", "aria-label": t("The chosen job") });
   const open = async (id) => {
     location.hash = "#jobs/" + encodeURIComponent(id);
   };
   const show = async (id) => {
     try {
-      fill(one, card(t("Job {job}", { job: id }), detail(await api("jobs/" + encodeURIComponent(id)))));
+      fill(one, card(t("Job {job}", { job: id }), detail(await api("jobs/" + encodeURIComponent(id)), { said, starting })));
     } catch (error) {
       fill(one, h("p", { class: "note wrong" }, error.message));
     }
@@ -61,10 +78,13 @@ export function jobsPage(main, chosen) {
       none.textContent = error.message;
     }
   };
-  fill(main, one, h("div", { class: "gap" }), card(t("Jobs"), h("div", { class: "row" }, h("label", { for: "failed" }, failed, " ", t("only failed ones")), wanted),
+  fill(main, said, one, h("div", { class: "gap" }), card(t("Jobs"), h("div", { class: "row" }, h("label", { for: "failed" }, failed, " ", t("only failed ones")), wanted),
     h("div", { class: "scroll" }, h("table", { id: "jobs" }, h("thead", {}, h("tr", {}, ["job", "state", "came", "moves / bound", "time", "what"].map((title) => h("th", { scope: "col" }, t(title))))), list)), none));
   let key = "";
+  const warn = () => { starting.textContent = whatSubmitStarts() ?? ""; };
+  warn();
   const stop = on("status", () => {
+    warn();
     const now = JSON.stringify([state.status?.job, state.status?.waiting]);
     if (now !== key) { key = now; update(); if (chosen) show(chosen); }
   });

@@ -108,7 +108,7 @@ function ways(status) {
   const way = (how, label) => hold(label, () => give(label, { do: "recover", how }), { id: "recover-" + how, "data-way": how });
   const element = h("div", {}, h("h3", {}, t("Leave the stop")),
     h("div", { class: "row" },
-      h("button", { type: "button", id: "recover-show", disabled: state.stale || !may("operate"), click: () => give(t("Leave the stop"), { do: "recover", how: "show" }) }, t("What happened?")),
+      h("button", { type: "button", id: "recover-show", disabled: state.stale, click: () => give(t("Leave the stop"), { do: "recover", how: "show" }) }, t("What happened?")),
       way("place", t("Put it down")), way("hold", t("Keep holding")), way("retreat", t("Straight up")), way("release", t("Let go (hold it by hand)"))),
     h("p", { class: "soft" }, t("A way back is held down for a second. Put it down and Straight up MOVE THE ARM at once, whatever is paused. Each is your word that the cell is safe; afterwards it is disarmed.")));
   allow(element, status);
@@ -161,7 +161,7 @@ export function orders() {
   const draw = () => {
     const status = state.status;
     if (!status) return;
-    const key = JSON.stringify([status.armed, status.paused, status.job, status.state, status.stopped, status.awaiting_approval, status.plan?.unix_s, status.holding, leaves(status), status.message.startsWith(WAY_BACK), status.moving && (!status.armed || status.paused), state.stale, state.control, state.me]);
+    const key = JSON.stringify([status.armed, status.paused, status.job, status.state, status.stopped, status.awaiting_approval, status.plan?.unix_s, status.holding, leaves(status), status.arm_refused, status.message.startsWith(WAY_BACK), status.moving && (!status.armed || status.paused), state.stale, state.control, state.me]);
     if (key === drawn) return allow(body, status);
     drawn = key;
     const onAWayBack = status.message.startsWith(WAY_BACK);
@@ -176,15 +176,16 @@ export function orders() {
       approval(status),
       h("div", { class: "row" },
         // Each in its place whatever the state is: a second press never means the opposite.
-        button(t("Arm"), { do: "arm" }, can && !status.armed, { class: status.armed || status.moving || status.stopped || status.holding ? null : "first" }),
+        button(t("Arm"), { do: "arm" }, can && !status.armed && !status.arm_refused, { class: status.armed || status.moving || status.stopped || status.holding ? null : "first" }),
         button(t("Disarm"), { do: "disarm" }, true),
         button(t("Pause"), { do: "pause" }, !status.paused && status.state !== "starting" && !onAWayBack),
         button(t("Resume"), { do: "resume" }, can && status.paused, { class: status.paused ? "first" : null }),
         button(t("One step"), { do: "step" }, can && status.paused),
         button(t("Abort"), { do: "abort" }, true),
         button(t("Park"), { do: "park" }, can && status.armed && !status.job && !onAWayBack),
-        status.job && button(t("Cancel job {job}", { job: status.job }), { do: "cancel", id: status.job }, can),
+        status.job && button(t("Cancel the job"), { do: "cancel", id: status.job }, can, { title: status.job }),
         hold(t("Release the vacuum"), () => give(t("Release"), { do: "release", channel: null }), { id: "order-release", disabled: !can })),
+      !status.armed && status.arm_refused && h("p", { class: "soft", id: "arm-refused" }, h("strong", {}, t("Arm"), ": "), here(status.arm_refused)),
       leaves(status) && ways(status));
   };
   const stops = [on("status", settled), on("status", draw), on("stale", () => { drawn = ""; draw(); }), on("control", draw), on("me", draw)];

@@ -65,8 +65,8 @@ impl Server {
         server
     }
 
-    /// A server with JetStream that writes every message to the disk before it answers. Its room is a number,
-    /// since what a server takes of itself is a share of what this computer's disk has left.
+    /// A server with JetStream that writes every message to the disk before it answers. Its room is a
+    /// number, since what a server takes of itself is a share of what this computer's disk has left.
     pub fn usual(program: &Path) -> Server {
         Server::start(
             program,

@@ -33,6 +33,9 @@ impl Supervisor {
                 Reply::accept("one pick-n-place once the plan is approved, then a pause")
             }
             Order::Step => Reply::accept(match &self.job {
+                Some(job) if job.moves > 0 && job.route.as_ref().is_some_and(Vec::is_empty) => {
+                    "a last look at the table, and one pick-n-place where more is to be done; then a pause"
+                }
                 Some(_) => "one pick-n-place, then a pause",
                 None => "no job is under way; the next one pauses after one pick-n-place",
             }),

@@ -443,6 +443,9 @@ impl Supervisor {
         self.waiting_for = None;
         self.withdraw_meant(now, out);
         let Some(job) = self.job.take() else { return };
+        // The pause that was promised after a single step comes with the end at the latest: no other job
+        // begins instead of it.
+        self.mode.step_over();
         // The next job may begin at once: no hint sends hands to an armed arm.
         let first = self.mode.armed() && end == JobStatus::Failed && reason.code.needs_hands();
         let hint = match first && !reason.hint.is_empty() && !reason.hint.contains("celld disarm") {

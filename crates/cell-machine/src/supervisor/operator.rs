@@ -124,32 +124,33 @@ impl Supervisor {
     }
 
     fn on_arm(&mut self, devices: &DeviceSnapshot, out: &mut Vec<Action>) -> Option<Reply> {
-        if self.back.recovery.is_some() {
-            return Some(Reply::refuse(
-                "not armed: a way back is under way, and the arm may move; `celld abort` stops it",
-            ));
+        if let Some(refusal) = self.arm_refusal(devices) {
+            return Some(Reply::refuse(refusal));
         }
         if self.mode.armed() {
             return Some(Reply::accept("armed already"));
         }
-        if let Some(why) = self.under_way(devices) {
-            return Some(Reply::refuse(format!("not armed: {why}; try again")));
-        }
-        let open = self.may_arm(devices);
-        if let (Mode::Disarmed { .. }, Err(closed)) = (&self.mode, &open) {
-            return Some(Reply::refuse(self.not_armed_for(closed)));
-        }
-        if !self.mode.arm() {
-            return Some(match &self.mode {
-                Mode::Locked(reason) => Reply::refuse(format!("not armed: {reason}")),
-                Mode::Ending { .. } | Mode::Disarmed { .. } | Mode::Armed { .. } => {
-                    Reply::refuse("not armed: celld is ending")
-                }
-            });
-        }
+        self.mode.arm();
         say(out, "armed");
         self.armed_now(devices, out);
         None
+    }
+
+    /// Why an order to arm is refused now, as it is answered; `None` where it is not.
+    pub(crate) fn arm_refusal(&self, devices: &DeviceSnapshot) -> Option<String> {
+        if self.back.recovery.is_some() {
+            let why = "not armed: a way back is under way, and the arm may move; `celld abort` stops it";
+            return Some(why.to_string());
+        }
+        match &self.mode {
+            Mode::Armed { .. } => None,
+            Mode::Locked(reason) => Some(format!("not armed: {reason}")),
+            Mode::Ending { .. } => Some("not armed: celld is ending".to_string()),
+            Mode::Disarmed { .. } => match self.under_way(devices) {
+                Some(why) => Some(format!("not armed: {why}; try again")),
+                None => self.may_arm(devices).err().map(|closed| self.not_armed_for(&closed)),
+            },
+        }
     }
 
     /// The cell has just been armed. The person who arms has been at the table: what was on it may be gone,

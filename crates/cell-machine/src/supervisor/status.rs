@@ -139,6 +139,8 @@ pub struct Status {
     pub stopped: Option<StopNote>,
     /// The ways back that may be taken now, where there is something to leave or to get rid of.
     pub ways: Vec<WayBack>,
+    /// Why an order to arm would be refused now, as it would be answered.
+    pub arm_refused: Option<String>,
     /// Robot, gripper, camera.
     pub devices: Vec<DeviceNote>,
 }
@@ -207,6 +209,7 @@ impl Status {
             hint: String::new(),
             stopped: None,
             ways: Vec::new(),
+            arm_refused: None,
             devices: Vec::new(),
         }
     }
@@ -276,16 +279,18 @@ impl Supervisor {
                 StopNote { code, message, hint: self.stop_hint(stop), job: stop.job.clone() }
             }),
             ways: Vec::new(),
+            arm_refused: None,
             devices: Vec::new(),
         }
     }
 
     /// The same with what the devices' present state allows: how each is, the ways back that may be taken,
-    /// and what has to be done before an arming that would be refused.
+    /// whether the cell may be armed, and what has to be done before an arming that would be refused.
     pub fn status_with(&self, devices: &DeviceSnapshot) -> Status {
         let status = self.status();
         let (ways, notes) = (self.ways_now(devices), self.device_notes(devices));
-        Status { ways, devices: notes, hint: self.hint_with(devices, status.hint), ..status }
+        let hint = self.hint_with(devices, status.hint);
+        Status { ways, arm_refused: self.arm_refusal(devices), devices: notes, hint, ..status }
     }
 
     /// The hint; where it leads to an arming that would be refused, behind what has to be done first.
