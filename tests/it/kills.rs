@@ -2,7 +2,8 @@
 //! syncs, renames and removals in the state folder, and at any time. Nothing is lost, nothing is done twice,
 //! nothing moves by itself.
 //!
-//! In: `CELLD_KILLS=N` makes N kills of either kind instead of a few, spread over a job's calls and time. A
+//! In: `CELLD_KILLS=N` makes N kills of either kind instead of a few, spread over a job's calls and time, and
+//! `CELLD_KILLS_CELLS=M` has M simulated cells at addresses of their own share them: they mostly wait. A
 //! library put before libc's counts the calls on files of the state folder and kills the process after one
 //! of them. Out: for each kill, that the next daemon has the job in one place, is disarmed, offers a way
 //! back where something is held, and that the job can be brought to its end.
@@ -13,6 +14,7 @@ use crate::cell::{
 };
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 /// Before libc: counts calls that change the state folder, status and recordings apart, and kills the
@@ -83,6 +85,9 @@ enum When {
     After(Duration),
 }
 
+/// Where the object of the jobs goes in turn, x, m.
+const PLACES: [f64; 2] = [0.30, 0.40];
+
 /// One cell whose daemons are killed one after the other; the table stays as they leave it.
 struct Cell {
     folder: tempfile::TempDir,
@@ -101,8 +106,8 @@ impl Cell {
     }
 
     /// A job that is cut off, and brought to its end by the next daemon; how many calls and seconds it took
-    /// where it was not cut off.
-    fn kill(&self, number: usize, when: When) -> Option<(u32, Duration)> {
+    /// where it was not cut off. The object goes to and fro between two places, so that there is work.
+    fn kill(&self, number: usize, to_x: f64, when: When) -> Option<(u32, Duration)> {
         let folder = self.folder.path().join(format!("kill-{number}"));
         std::fs::create_dir(&folder).expect("created");
         let (marks, after) = (
@@ -118,9 +123,8 @@ impl Cell {
             ("KILL_MARKS", marks.as_path()),
         ];
         let mut daemon = start_daemon_with_killer(&folder, &self.config, &environment);
-        let x = if number.is_multiple_of(2) { 0.30 } else { 0.40 };
         let job =
-            format!("version: 1\nid: tidy\ngoal:\n  objects:\n    - {{id: lid, pose: [{x}, 0.38, 0]}}\n");
+            format!("version: 1\nid: tidy\ngoal:\n  objects:\n    - {{id: lid, pose: [{to_x}, 0.38, 0]}}\n");
         let gone = |daemon: &mut Running| daemon.0.try_wait().expect("a child").is_some();
         let (mut armed, mut handed) = (false, None);
         let limit = Instant::now();
@@ -238,26 +242,43 @@ fn said(folder: &Path) -> String {
 
 #[test]
 fn cell_daemon_killed_anywhere_in_a_job_loses_and_repeats_nothing() {
-    let kills: u32 = std::env::var("CELLD_KILLS").ok().and_then(|text| text.parse().ok()).unwrap_or(2);
+    let kills = stated("CELLD_KILLS").unwrap_or(2);
+    let cells = stated("CELLD_KILLS_CELLS").unwrap_or(1).clamp(1, 200) as u8;
     let cell = Cell::new("127.7.6.11");
-    let undisturbed = cell.kill(0, When::Call(0));
+    let undisturbed = cell.kill(0, PLACES[0], When::Call(0));
     let first = cell.folder.path().join("kill-0");
     let (calls, time) = undisturbed.unwrap_or_else(|| panic!("not killed, and gone: {}", said(&first)));
     assert!(calls > 30, "{calls} calls on the state folder");
-    let (mut number, mut killed) = (0, 0);
-    for share in (0..kills).map(|k| f64::from(2 * k + 1) / f64::from(2 * kills)) {
-        for when in [When::Call((share * f64::from(calls)) as u32 + 1), When::After(time.mul_f64(share))] {
-            number += 1;
-            killed += u32::from(cell.kill(number, when).is_none());
+    let shares = (0..kills).map(|k| f64::from(2 * k + 1) / f64::from(2 * kills));
+    let both =
+        |share: f64| [When::Call((share * f64::from(calls)) as u32 + 1), When::After(time.mul_f64(share))];
+    let due: Vec<(usize, When)> = (1..).zip(shares.flat_map(both)).collect();
+    let (next, killed) = (AtomicUsize::new(0), AtomicUsize::new(0));
+    let work = |cell: &Cell| {
+        for to_x in PLACES.into_iter().cycle().skip(1) {
+            let Some((number, when)) = due.get(next.fetch_add(1, Ordering::Relaxed)) else { break };
+            killed.fetch_add(usize::from(cell.kill(*number, to_x, *when).is_none()), Ordering::Relaxed);
             if kills > 10 {
                 eprintln!(
                     "{number} of {}: {when:?} of {calls} calls, {:.1} s",
-                    2 * kills,
+                    due.len(),
                     time.as_secs_f64()
                 );
             }
         }
-    }
+    };
+    std::thread::scope(|scope| {
+        for index in 1..cells {
+            let work = &work;
+            scope.spawn(move || work(&Cell::new(&format!("127.7.6.{}", 11 + u32::from(index)))));
+        }
+        work(&cell);
+    });
     // The last moments of a job may be over before the kill comes.
-    assert!(4 * killed as usize >= 3 * number, "{killed} of {number} were killed");
+    let killed = killed.into_inner();
+    assert!(4 * killed >= 3 * due.len(), "{killed} of {} were killed", due.len());
+}
+
+fn stated(name: &str) -> Option<u32> {
+    std::env::var(name).ok().and_then(|text| text.parse().ok())
 }
