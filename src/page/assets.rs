@@ -188,23 +188,26 @@ mod tests {
         ];
         let others = [
             GateClosed::Link(Link::Rtde),
+            GateClosed::Link(Link::Dashboard),
+            GateClosed::Link(Link::Primary),
             GateClosed::Stale,
-            GateClosed::Mode(RobotMode::Booting),
             GateClosed::Guided,
             GateClosed::Local,
             GateClosed::Program,
             GateClosed::Paused,
-            GateClosed::NotPlaying(String::new()),
+            GateClosed::NotPlaying("STOPPED".into()),
             GateClosed::Disarmed,
             GateClosed::Locked(String::new()),
             GateClosed::Gripper,
             GateClosed::GripperUnconfirmed,
-            GateClosed::Holding(9),
-            GateClosed::MayHang(String::new()),
+            GateClosed::Holding,
+            GateClosed::MayHang("mug".into()),
             GateClosed::NotObserved,
             GateClosed::NotApproved,
         ];
-        safety.map(GateClosed::Safety).into_iter().chain(others).collect()
+        let modes =
+            [-1, 0, 1, 2, 3, 4, 5, 6, 7, 8].map(|number| GateClosed::Mode(RobotMode::from_code(number)));
+        safety.map(GateClosed::Safety).into_iter().chain(modes).chain(others).collect()
     }
 
     /// A line of a job's story, phrase by phrase as the page has it, with its holes.
@@ -297,6 +300,13 @@ mod tests {
         (job, steps)
     }
 
+    /// Refusals to arm that no case of the pages comes to.
+    const REFUSALS: [&str; 3] = [
+        "not armed: celld is ending",
+        "not armed: a release is under way, and the gripper has not confirmed it yet; try again",
+        "not armed: the pick-n-place under way is finished first; then `celld arm`",
+    ];
+
     /// What the pages say that the cell answers, and what an operator reads after a fault, phrase by phrase.
     #[test]
     fn what_the_cell_says_is_there_in_german() {
@@ -308,8 +318,10 @@ mod tests {
         let faults =
             reactions.filter(|row| row.len() >= 9 && row[0].starts_with(|c: char| c.is_ascii_digit()));
         let hints = hints();
+        let gates: Vec<String> = hints.iter().map(|gate| phrases_of(&gate.to_string()).join("; ")).collect();
         let hints = hints.iter().flat_map(|hint| [hint.hint(), hint.hint_before_arming()]);
-        let sentences = answers.chain(faults.flat_map(|row| [row[6], row[7]])).chain(hints);
+        let of_gates = hints.chain(gates.iter().map(String::as_str)).chain(REFUSALS);
+        let sentences = answers.chain(faults.flat_map(|row| [row[6], row[7]])).chain(of_gates);
         let phrases = sentences.flat_map(|text| text.split("; ").flat_map(|part| part.split(": ")));
         let phrases: BTreeSet<&str> = phrases.flat_map(|part| part.split(", then ")).collect();
         // A person names jobs as he likes.

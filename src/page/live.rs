@@ -129,7 +129,7 @@ pub async fn picture_view(State(app): State<App>) -> Response {
     };
     let (seen, status) = (app.feed.last_sight(), app.feed.last_status());
     let plan = status.as_ref().and_then(|status| status.plan.as_ref());
-    // What was measured before the picture was taken may lie elsewhere in it.
+    // What was measured before the picture was taken may lie elsewhere in it. A plan is as it was made.
     let seen = seen.as_ref().filter(|sight| sight.unix_s >= kept.unix_s).map(|sight| &*sight.seen);
     let number = app.feed.picture_number();
     Json(views::picture_view(number, &kept, &known.lens.model, &app.cell, seen, plan)).into_response()

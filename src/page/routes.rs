@@ -172,12 +172,10 @@ fn job_routes(r: &mut Routes) {
         work::submit,
     );
     r.add(
-        post(
-            "/api/v1/jobs/{id}/again",
-            Operate,
-            "Submit the goal of a job again, as a job of its own",
-            "Nothing",
-        ),
+        Route {
+            method: "POST",
+            ..get("/api/v1/jobs/{id}/again", Operate, "Submit the goal of a job again, as a job of its own")
+        },
         again::again,
     );
     r.add(get("/api/v1/jobs/{id}", View, "A job with its story, plan, steps and result"), work::job);

@@ -234,7 +234,11 @@ fn may_order(app: &Shared, order: &Order, ordered: &Ordered, giver: &Giver) -> R
     match order {
         // The machine compares the plan's number with that of the plan that waits.
         Order::Approve { plan: Some(_), .. } | Order::Reject(_) => return Ok(()),
-        // It shows how things are, and changes nothing.
+        // It shows how things are, and changes nothing: whoever may look may request it, as often as other
+        // things are looked at.
+        Order::Recover(WayBack::Show) if !app.limits().request(&person.session, Instant::now()) => {
+            return Err((StatusCode::TOO_MANY_REQUESTS, "too many requests; wait a little".into()));
+        }
         Order::Recover(WayBack::Show) => return Ok(()),
         Order::Approve { plan: None, .. } => {
             let message = "say which plan is agreed to: its `number`, as in the status, as `plan`";

@@ -214,7 +214,7 @@ pub struct JobText {
 }
 
 /// What a job is read against: the cell, its goal folder, what other jobs found.
-pub(super) fn read(app: &Shared, text: &str) -> Result<JobSpec, Refused> {
+fn read(app: &Shared, text: &str) -> Result<JobSpec, Refused> {
     let obstacles = app.cell.obstacles();
     let read_goal = |name: &str| match std::path::Path::new(name).file_name() {
         Some(last) if is_goal_name(&last.to_string_lossy()) => read_goal_file(&app.cell.goal_folder, name),

@@ -2,8 +2,8 @@
 //! syncs, renames and removals in the state folder, and at any time. Nothing is lost, nothing is done twice,
 //! nothing moves by itself.
 //!
-//! In: `CELLD_KILLS=N` makes N kills of either kind instead of a few, spread over a job's calls and time, and
-//! `CELLD_KILLS_CELLS=M` has M simulated cells at addresses of their own share them: they mostly wait. A
+//! In: `CELLD_KILLS=N` makes N kills of either kind instead of a few, spread over a job's calls and time,
+//! and `CELLD_KILLS_CELLS=M` has M simulated cells at addresses of their own share them: they mostly wait. A
 //! library put before libc's counts the calls on files of the state folder and kills the process after one
 //! of them. Out: for each kill, that the next daemon has the job in one place, is disarmed, offers a way
 //! back where something is held, and that the job can be brought to its end.

@@ -250,6 +250,34 @@ fn it_is_played_back(cell: &Cell, view: &str) {
     assert_eq!(cell.get("/api/v1/jobs/none/playback", view).status, 404);
 }
 
+/// The goal of a job again: one that has ended, under a number of its own.
+fn once_more(cell: &Cell, view: &str, operate: &str) {
+    let again = |id: &str| cell.post(&format!("/api/v1/jobs/{id}/again"), operate, &json!({}));
+    let refused = cell.post("/api/v1/jobs/one/again", view, &json!({}));
+    assert_eq!((refused.status, again("none").status), (403, 404));
+    let made = again("one");
+    assert!(made.status == 201 && made.json()["id"] == "one.2", "{}", made.body);
+    let job = cell.get("/api/v1/jobs/one.2", view).json();
+    assert_eq!(job["goals"], cell.get("/api/v1/jobs/one", view).json()["goals"]);
+    let early = again("one.2");
+    assert!(early.status == 409 && early.body.contains("not ended"), "{}", early.body);
+    assert_eq!(cell.order(operate, json!({ "do": "cancel", "id": "one.2" }))["accepted"], true);
+    wait_until("cancelled", || cell.get("/api/v1/jobs/one.2", view).json()["state"] == "cancelled");
+}
+
+/// Whoever may look may stop, and see what may be done then.
+fn whoever_looks_may_stop(cell: &Cell, view: &str) {
+    let status = || cell.get("/api/v1/status", view).json();
+    let stopped = cell.order(view, json!({ "do": "disarm" }));
+    assert_eq!(stopped["accepted"], true, "{stopped}");
+    wait_until("the status says disarmed", || status()["armed"] == false);
+    wait_until("and could be armed", || status()["arm_refused"].is_null());
+    let shown = cell.order(view, json!({ "do": "recover", "how": "show" }));
+    assert!(shown["accepted"] == true && shown.to_string().contains("ways back"), "{shown}");
+    let ordered = "by=\"view (view) at 127.0.0.1\"";
+    assert!(cell.log().contains(ordered), "{}", cell.log());
+}
+
 #[test]
 fn cell_page_orders_and_jobs_do_what_they_say() {
     let cell = Cell::start("127.7.7.3", 2);
@@ -298,18 +326,13 @@ fn cell_page_orders_and_jobs_do_what_they_say() {
     assert!(cell.get("/api/v1/jobs/one/report", &view).body.contains("<svg"));
     it_is_played_back(&cell, &view);
     nothing_else_is_a_goal(&cell, &view, &operate);
+    once_more(&cell, &view, &operate);
     let metrics = cell.get("/metrics", &view).body;
     assert!(
         metrics.contains("celld_armed 1") && metrics.contains("celld_device_ready{device=\"robot\"} 1"),
         "{metrics}"
     );
-
-    // Whoever may look may stop.
-    let stopped = cell.order(&view, json!({ "do": "disarm" }));
-    assert_eq!(stopped["accepted"], true, "{stopped}");
-    wait_until("the status says disarmed", || status()["armed"] == false);
-    let ordered = "by=\"view (view) at 127.0.0.1\"";
-    assert!(cell.log().contains(ordered), "{}", cell.log());
+    whoever_looks_may_stop(&cell, &view);
 }
 
 #[test]

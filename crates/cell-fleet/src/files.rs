@@ -28,6 +28,9 @@ const BUCKET_BYTES_LEAST: i64 = 64 << 20;
 /// Bytes of one file: a long recording.
 pub const FILE_BYTES_MAX: u64 = 1 << 30;
 
+/// What a file takes in the bucket beside its content, at most: its entry there.
+const OVERHEAD: u64 = 16 * 1024;
+
 /// Longest name of a file.
 const FILE_NAME_MAX: usize = 200;
 
@@ -161,6 +164,7 @@ pub async fn send(
     let mut sent = Vec::new();
     for FileToSend { name, content } in files {
         let object = object_name(cell, job, &name);
+        fits(context, fleet, &store, &content).await.map_err(|fault| format!("{name}: {fault}"))?;
         let put = match put(&store, &object, &content).await {
             Err(fault) if is_full(&fault) && make_room(&store).await => put(&store, &object, &content).await,
             put => put,
@@ -169,6 +173,37 @@ pub async fn send(
         sent.push(name);
     }
     Ok(sent)
+}
+
+/// Makes room for a file. What does not fit is not begun: the parts that had come would stay in the bucket,
+/// and no name would lead to them.
+async fn fits(
+    context: &Context,
+    fleet: &Fleet,
+    store: &ObjectStore,
+    content: &Content,
+) -> Result<(), String> {
+    let size = match content {
+        Content::Bytes(bytes) => bytes.len() as u64,
+        Content::File(path) => std::fs::metadata(path).map_err(|error| error.to_string())?.len(),
+    };
+    // Each part has a heading of its own.
+    let needed = size + size / 64 + OVERHEAD;
+    loop {
+        let stream = context.get_stream(format!("OBJ_{}", fleet.files_bucket())).await;
+        let stream = stream.map_err(|error| refusal_sentence("files", &error.to_string()))?;
+        let info = stream.cached_info();
+        let room = u64::try_from(info.config.max_bytes).unwrap_or(u64::MAX);
+        if needed > room {
+            let most = room / 1_000_000;
+            return Err(format!(
+                "{size} bytes, and the server keeps {most} MB of files at most; fetch it at the cell"
+            ));
+        }
+        if info.state.bytes + needed <= room || !make_room(store).await {
+            return Ok(());
+        }
+    }
 }
 
 async fn put(store: &ObjectStore, object: &str, content: &Content) -> Result<(), String> {

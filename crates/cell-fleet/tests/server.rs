@@ -14,7 +14,7 @@ use bench::{Cell, STORAGE, Server, client, fleet, program, until};
 use cell_fleet::changes::Change;
 use cell_fleet::client::Client;
 use cell_fleet::connect::{ConnectFault, Credentials};
-use cell_fleet::files::FileKind;
+use cell_fleet::files::{Content, FileKind, FileToSend, send};
 use cell_fleet::payloads::{ClaimState, Job, What, encode};
 use cell_fleet::server::Storage;
 use cell_fleet::subjects::{Key, Lane, Priority, RequestKind, Target};
@@ -349,7 +349,19 @@ fn files_go_over_the_object_store_whole() {
 #[test]
 fn files_go_where_a_server_has_little_room_left() {
     let Some(program) = program() else { return };
-    fetch_files(&Server::start(&program, "jetstream {store_dir: \"STORE\", max_file_store: 600MB}"));
+    let server = Server::start(&program, "jetstream {store_dir: \"STORE\", max_file_store: 600MB}");
+    fetch_files(&server);
+    // More than it holds is not begun, and what others have requested stays.
+    let runtime = runtime();
+    let (stored, refused) = runtime.block_on(async {
+        let context = async_nats::jetstream::new(async_nats::connect(server.address()).await.unwrap());
+        let large = FileToSend { name: "large".into(), content: Content::Bytes(vec![0; 200 << 20]) };
+        let refused = send(&context, &fleet(), 1, ["c1", "job-0"], vec![large]).await;
+        let store = context.get_object_store(fleet().files_bucket()).await.unwrap();
+        (store.list().await.unwrap().count().await, refused)
+    });
+    assert!(refused.as_ref().is_err_and(|fault| fault.contains("fetch it at the cell")), "{refused:?}");
+    assert_eq!(stored, 2, "the files of before");
 }
 
 fn fetch_files(server: &Server) {

@@ -279,6 +279,8 @@ mod tests {
         for order in [Order::Abort, Order::Disarm, Order::Pause] {
             assert!(order.only_stops() && order.least_role() == Role::View && !order.needs_sight());
         }
+        let show = Order::Recover(WayBack::Show);
+        assert!(!show.only_stops() && show.least_role() == Role::View && !show.needs_sight());
         let moves = [Order::Arm, Order::Resume, Order::Step, Order::Park, Order::Recover(WayBack::Place)];
         let confirmed = [Order::Release(Channels::Both), Order::ConfirmGripper, Order::Calibrate];
         for order in moves.into_iter().chain(confirmed) {

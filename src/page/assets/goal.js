@@ -2,7 +2,7 @@
 // once, and the job is submitted. Keys move too: arrows by a millimetre (with shift ten), q and e turn.
 
 import { h, s, card, fill } from "./dom.js";
-import { api, on, state, may } from "./net.js";
+import { api, handIn, on, state, may } from "./net.js";
 import { here, t, duration, number } from "./text.js";
 import { view, ground, outline, foreign, labels, arrows, numbers, at, places, drawnAs } from "./table.js";
 
@@ -283,7 +283,7 @@ export function goalPage(main) {
     if (nothingYet()) return;
     const starts = whatSubmitStarts();
     try {
-      const { id, state: word, message } = await api("jobs", { body: { text: jobText(), name: "page" } });
+      const { id, state: word, message } = await handIn("jobs", { text: jobText(), name: "page" });
       // From now on the plan is the job's own.
       draft.plan = null;
       draw();
@@ -296,7 +296,7 @@ export function goalPage(main) {
   const lookAround = async () => {
     const starts = whatSubmitStarts();
     try {
-      const { id } = await api("jobs", { body: { text: JSON.stringify({ version: 1, goal: { look: true }, rerun: true }), name: "look" } });
+      const { id } = await handIn("jobs", { text: JSON.stringify({ version: 1, goal: { look: true }, rerun: true }), name: "look" });
       fill(result, h("p", { class: "note", id: "looking" }, t("Job {job} looks at the table as soon as the cell is armed.", { job: id }), " ", starts && h("strong", {}, starts, " "), h("a", { href: "#live" }, t("To the cell"))));
     } catch (error) {
       fill(result, h("p", { class: "note wrong" }, here(error.message)));

@@ -1,9 +1,9 @@
 // Jobs: what became of each, and why.
 
 import { h, card, fill } from "./dom.js";
-import { api, may, on, state } from "./net.js";
+import { api, handIn, may, on, state } from "./net.js";
 import { whatSubmitStarts } from "./goal.js";
-import { here, t, moment, time, duration, number } from "./text.js";
+import { here, t, moment, duration, number } from "./text.js";
 
 /** Report and played-back run in the light of this page. */
 const light = () => (localStorage.getItem("theme") ? `?theme=${localStorage.getItem("theme")}` : "");
@@ -22,14 +22,19 @@ function row(job, open) {
 function onceMore(job, { said, starting }) {
   const submit = async () => {
     const starts = whatSubmitStarts();
+    // One job a click, however long the cell takes to read it.
+    button.disabled = true;
+    fill(said, h("p", { class: "note" }, t("submitting …")));
     try {
-      const { id, state: became, message } = await api(`jobs/${encodeURIComponent(job.id)}/again`, { method: "POST" });
+      const { id, state: became, message } = await handIn(`jobs/${encodeURIComponent(job.id)}/again`);
       fill(said, h("p", { class: "note", id: "submitted" }, t("Submitted: job {job}, {state}.", { job: id, state: t(became) }), message ? ` ${here(message)}` : "", starts ? [" ", h("strong", {}, starts)] : "", " ", h("a", { href: "#live" }, t("To the cell"))));
     } catch (error) {
       fill(said, h("p", { class: "note wrong" }, here(error.message)));
     }
+    button.disabled = false;
   };
-  return [h("button", { type: "button", id: "again", disabled: !may("operate"), click: submit }, t("Submit again")), starting];
+  const button = h("button", { type: "button", id: "again", disabled: !may("operate"), click: submit }, t("Submit again"));
+  return [button, starting];
 }
 
 function detail(job, parts) {
@@ -42,8 +47,9 @@ function detail(job, parts) {
     result?.hint && h("p", { class: "hint" }, job.last ? "→ " : `${t("what was to be done")}: `, here(result.hint)),
     h("div", { class: "row" }, h("a", { class: "button", href: `/api/v1/jobs/${id}/report${light()}`, target: "_blank" }, t("Report")), job.recorded && h("a", { class: "button", id: "playback", href: `/api/v1/jobs/${id}/playback${light()}`, target: "_blank" }, t("Play back")), job.ended_unix_s && onceMore(job, parts)),
     h("div", { class: "grid" },
-      h("div", {}, h("h3", {}, t("Story")), h("div", { class: "scroll" }, h("table", { id: "story" }, job.lines.map(({ unix_s, text }) => h("tr", {}, h("td", { class: "when soft" }, unix_s === null ? "" : time(unix_s)), h("td", {}, here(text)))))),
+      h("div", {}, h("h3", {}, t("Story")), h("div", { class: "scroll" }, h("table", { id: "story" }, job.lines.map(({ unix_s, text }) => h("tr", {}, h("td", { class: "when soft" }, unix_s === null ? "" : moment(unix_s)), h("td", {}, here(text)))))),
         times.length ? [h("h3", {}, t("Where the time went")), h("table", {}, times.map(([what, seconds]) => h("tr", {}, h("td", {}, t(what)), h("td", {}, `${number(seconds)} s`))))] : null,
+        !result && job.goals.length ? [h("h3", {}, t("Objects with a goal")), h("table", {}, job.goals.map(({ id: object, pose }) => h("tr", {}, h("td", {}, object), h("td", {}, `${Math.round(pose[0] * 1000)}, ${Math.round(pose[1] * 1000)} mm, ${Math.round(pose[2] * 180 / Math.PI)}°`))))] : null,
         result?.objects.length ? [h("h3", {}, t("Objects")), h("table", {}, h("tr", {}, h("th", {}, t("object")), h("th", {}, t("off by"))),
           result.objects.map((object) => h("tr", {}, h("td", {}, object.id), h("td", {}, object.error_mm === null ? here(job.unseen[object.id] ?? "not seen") : `${number(object.error_mm)} mm, ${number(object.error_deg)}°`))))] : null),
       h("div", {}, image("plan.jpg", t("When the plan was made")), image("end.jpg", t("The last picture")), image("plan.svg", t("The plan")))),
@@ -81,7 +87,10 @@ export function jobsPage(main, chosen) {
   fill(main, said, one, h("div", { class: "gap" }), card(t("Jobs"), h("div", { class: "row" }, h("label", { for: "failed" }, failed, " ", t("only failed ones")), wanted),
     h("div", { class: "scroll" }, h("table", { id: "jobs" }, h("thead", {}, h("tr", {}, ["job", "state", "came", "moves / bound", "time", "what"].map((title) => h("th", { scope: "col" }, t(title))))), list)), none));
   let key = "";
-  const warn = () => { starting.textContent = whatSubmitStarts() ?? ""; };
+  const warn = () => {
+    const words = whatSubmitStarts() ?? "";
+    if (starting.textContent !== words) starting.textContent = words;
+  };
   warn();
   const stop = on("status", () => {
     warn();

@@ -39,12 +39,20 @@ export async function api(path, options = {}) {
   return content;
 }
 
+/** What lets the cell begin something: not by a person who does not see the present. */
+export async function handIn(path, body) {
+  if (state.stale) throw new Error(OLD);
+  return api(path, { method: "POST", body });
+}
+
+const OLD = "what is shown is old: only what stops is sent";
+
 /** An order to the cell: what it answers, accepted or not. */
 export async function order(command, more = {}) {
   try {
     const stops = ["abort", "disarm", "pause"].includes(command.do);
     // Nothing but a stop is given by who does not see the present; the daemon refuses it too, a little later.
-    if (state.stale && !stops) return { accepted: false, message: "what is shown is old: only what stops is sent" };
+    if (state.stale && !stops) return { accepted: false, message: OLD };
     return await api("orders", { body: { command, beat: state.beat, ...more }, within: stops ? 5000 : 20000 });
   } catch (error) {
     return { accepted: false, message: error.message };

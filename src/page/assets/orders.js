@@ -104,22 +104,28 @@ function button(label, command, enabled, attributes = {}) {
   return h("button", { type: "button", id: "order-" + command.do, disabled: !enabled, click: () => give(label, command), ...attributes }, label);
 }
 
-function ways(status) {
+function ways() {
   const way = (how, label) => hold(label, () => give(label, { do: "recover", how }), { id: "recover-" + how, "data-way": how });
-  const element = h("div", {}, h("h3", {}, t("Leave the stop")),
+  return h("div", {}, h("h3", {}, t("Leave the stop")),
     h("div", { class: "row" },
       h("button", { type: "button", id: "recover-show", disabled: state.stale, click: () => give(t("Leave the stop"), { do: "recover", how: "show" }) }, t("What happened?")),
       way("place", t("Put it down")), way("hold", t("Keep holding")), way("retreat", t("Straight up")), way("release", t("Let go (hold it by hand)"))),
     h("p", { class: "soft" }, t("A way back is held down for a second. Put it down and Straight up MOVE THE ARM at once, whatever is paused. Each is your word that the cell is safe; afterwards it is disarmed.")));
-  allow(element, status);
-  return element;
 }
 
-/** The cell says which ways may be taken now; “What happened?” names what is in the way of the others. That may
-    change with every reading, so the buttons stay: one that is held down is not replaced. */
+/** What may set the arm in motion can be ordered: by role, from here, of a cell that is seen as it is now. */
+const moves = () => Boolean(may("operate") && state.me.moves && !state.stale);
+
+/** The cell says which ways may be taken now, and why it could not be armed; “What happened?” names what is in
+    the way of the others. That may change with every reading, so the buttons stay. */
 function allow(element, status) {
   for (const button of element.querySelectorAll("[data-way]")) {
-    button.disabled = state.stale || !may("operate") || !status.ways.includes(button.dataset.way);
+    button.disabled = !moves() || !status.ways.includes(button.dataset.way);
+  }
+  const refused = element.querySelector("#arm-refused span");
+  if (refused && refused.dataset.said !== status.arm_refused) {
+    refused.dataset.said = status.arm_refused ?? "";
+    refused.textContent = here(status.arm_refused ?? "");
   }
 }
 
@@ -161,11 +167,13 @@ export function orders() {
   const draw = () => {
     const status = state.status;
     if (!status) return;
-    const key = JSON.stringify([status.armed, status.paused, status.job, status.state, status.stopped, status.awaiting_approval, status.plan?.unix_s, status.holding, leaves(status), status.arm_refused, status.message.startsWith(WAY_BACK), status.moving && (!status.armed || status.paused), state.stale, state.control, state.me]);
-    if (key === drawn) return allow(body, status);
+    const key = JSON.stringify([status.armed, status.paused, status.job, status.state, status.stopped, status.awaiting_approval, status.plan?.unix_s, status.holding, leaves(status), Boolean(status.arm_refused), status.message.startsWith(WAY_BACK), status.moving && (!status.armed || status.paused), state.stale, state.control, state.me]);
+    // A button that is held down is not replaced.
+    if (key === drawn || body.querySelector(".holding")) return allow(body, status);
     drawn = key;
     const onAWayBack = status.message.startsWith(WAY_BACK);
     const can = may("operate") && !state.stale && status.state !== "starting";
+    const go = can && moves();
     const holder = state.control;
     fill(body,
       h("p", { class: "soft" }, holder ? (mine() ? t("You have control.") : t("{name} has control.", { name: holder.name })) : t("Nobody has control: the first order takes it."), " ",
@@ -176,17 +184,18 @@ export function orders() {
       approval(status),
       h("div", { class: "row" },
         // Each in its place whatever the state is: a second press never means the opposite.
-        button(t("Arm"), { do: "arm" }, can && !status.armed && !status.arm_refused, { class: status.armed || status.moving || status.stopped || status.holding ? null : "first" }),
+        button(t("Arm"), { do: "arm" }, go && !status.armed && !status.arm_refused, { class: status.armed || status.moving || status.stopped || status.holding ? null : "first" }),
         button(t("Disarm"), { do: "disarm" }, true),
         button(t("Pause"), { do: "pause" }, !status.paused && status.state !== "starting" && !onAWayBack),
-        button(t("Resume"), { do: "resume" }, can && status.paused, { class: status.paused ? "first" : null }),
-        button(t("One step"), { do: "step" }, can && status.paused),
+        button(t("Resume"), { do: "resume" }, go && status.paused, { class: status.paused ? "first" : null }),
+        button(t("One step"), { do: "step" }, go && status.paused),
         button(t("Abort"), { do: "abort" }, true),
-        button(t("Park"), { do: "park" }, can && status.armed && !status.job && !onAWayBack),
+        button(t("Park"), { do: "park" }, go && status.armed && !status.job && !onAWayBack),
         status.job && button(t("Cancel the job"), { do: "cancel", id: status.job }, can, { title: status.job }),
-        hold(t("Release the vacuum"), () => give(t("Release"), { do: "release", channel: null }), { id: "order-release", disabled: !can })),
-      !status.armed && status.arm_refused && h("p", { class: "soft", id: "arm-refused" }, h("strong", {}, t("Arm"), ": "), here(status.arm_refused)),
-      leaves(status) && ways(status));
+        hold(t("Release the vacuum"), () => give(t("Release"), { do: "release", channel: null }), { id: "order-release", disabled: !go })),
+      !status.armed && status.arm_refused && h("p", { class: "soft", id: "arm-refused" }, h("strong", {}, t("Arm"), ": "), h("span")),
+      leaves(status) && ways());
+    allow(body, status);
   };
   const stops = [on("status", settled), on("status", draw), on("stale", () => { drawn = ""; draw(); }), on("control", draw), on("me", draw)];
   draw();

@@ -119,9 +119,13 @@ impl Server {
         self.up();
     }
 
+    pub fn address(&self) -> String {
+        format!("nats://127.0.0.1:{}", self.port)
+    }
+
     pub fn access(&self, credentials: Option<Credentials>) -> Access {
         Access {
-            servers: vec![format!("nats://127.0.0.1:{}", self.port)],
+            servers: vec![self.address()],
             credentials,
             authority: None,
             tls: false,

@@ -7,7 +7,7 @@ use crate::orders::{Approval, Order, Reply, WayBack};
 use crate::supervisor::cell::Supervisor;
 use crate::supervisor::gates::motion_speed;
 use crate::supervisor::input::DeviceSnapshot;
-use crate::supervisor::phase::{BringUp, Phase};
+use crate::supervisor::phase::{BringUp, JobRun, Phase};
 
 /// The arm is at its park pose within this joint angle, rad.
 const PARKED_RAD: f64 = 0.002;
@@ -33,7 +33,7 @@ impl Supervisor {
                 Reply::accept("one pick-n-place once the plan is approved, then a pause")
             }
             Order::Step => Reply::accept(match &self.job {
-                Some(job) if job.moves > 0 && job.route.as_ref().is_some_and(Vec::is_empty) => {
+                Some(job) if self.only_looks(job) => {
                     "a last look at the table, and one pick-n-place where more is to be done; then a pause"
                 }
                 Some(_) => "one pick-n-place, then a pause",
@@ -47,6 +47,12 @@ impl Supervisor {
             Order::Recover(way) => return Some(self.recovering(devices, *way)),
             Order::Calibrate => Reply::accept(self.calibrating()),
         })
+    }
+
+    /// Nothing of the plan is left but the look that ends the job.
+    fn only_looks(&self, job: &JobRun) -> bool {
+        let all_made = job.moves > 0 && job.route.as_ref().is_some_and(Vec::is_empty);
+        all_made && !job.cancel && matches!(self.phase, Phase::Ready)
     }
 
     /// That the cell is armed, and what the arm does next.

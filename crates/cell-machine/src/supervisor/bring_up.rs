@@ -71,7 +71,7 @@ impl Supervisor {
             | GateClosed::NotPlaying(_)
             | GateClosed::Disarmed
             | GateClosed::Locked(_)
-            | GateClosed::Holding(_)
+            | GateClosed::Holding
             | GateClosed::MayHang(_)
             | GateClosed::NotObserved
             | GateClosed::NotApproved => closed.to_string(),
@@ -192,7 +192,7 @@ fn opens_by_bring_up(closed: &GateClosed) -> bool {
         | GateClosed::Locked(_)
         | GateClosed::Gripper
         | GateClosed::GripperUnconfirmed
-        | GateClosed::Holding(_)
+        | GateClosed::Holding
         | GateClosed::MayHang(_)
         | GateClosed::NotObserved
         | GateClosed::NotApproved => false,

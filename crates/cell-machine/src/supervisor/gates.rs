@@ -56,7 +56,7 @@ impl GateClosed {
             GateClosed::GripperUnconfirmed => {
                 "see that it is the gripper on this arm, then `celld confirm-gripper`, once for this address"
             }
-            GateClosed::Holding(_) => "`celld recover` says what hangs there and what can be done with it",
+            GateClosed::Holding => "`celld recover` says what hangs there and what can be done with it",
             GateClosed::MayHang(_) => "see that nothing hangs on the cups, then `celld release --yes`",
             GateClosed::NotObserved | GateClosed::NotApproved => "nothing: the cell goes on by itself",
         }
@@ -105,9 +105,10 @@ pub enum GateClosed {
     /// No person has said yet that what answers at the gripper's address is the gripper.
     #[error("what answers at the gripper's address was never confirmed to be the gripper")]
     GripperUnconfirmed,
-    /// There is vacuum although nothing was picked.
-    #[error("something may hang on the gripper: vacuum {0} %")]
-    Holding(u32),
+    /// There is vacuum although nothing was picked. Without the reading: what is said of a gate is part of
+    /// the status, which would be another with every reading.
+    #[error("something may hang on the gripper: there is vacuum in its cups")]
+    Holding,
     /// An object was held, and no person or picture has said that it is gone.
     #[error("{0} may hang on the cups")]
     MayHang(String),
@@ -229,7 +230,7 @@ pub fn empty_handed(devices: &DeviceSnapshot) -> Result<(), GateClosed> {
     if vacuum.iter().all(|share| *share < EMPTY_BELOW) {
         return Ok(());
     }
-    Err(GateClosed::Holding((vacuum[0].max(vacuum[1]) * 100.0).round() as u32))
+    Err(GateClosed::Holding)
 }
 
 /// What moving an object needs besides.

@@ -148,7 +148,14 @@ impl Supervisor {
             Mode::Ending { .. } => Some("not armed: celld is ending".to_string()),
             Mode::Disarmed { .. } => match self.under_way(devices) {
                 Some(why) => Some(format!("not armed: {why}; try again")),
-                None => self.may_arm(devices).err().map(|closed| self.not_armed_for(&closed)),
+                None => self.may_arm(devices).err().map(|closed| match (&closed, &self.phase) {
+                    // It holds what it is to hold.
+                    (GateClosed::Holding | GateClosed::MayHang(_), Phase::Work(_)) => {
+                        "not armed: the pick-n-place under way is finished first; then `celld arm`"
+                            .to_string()
+                    }
+                    _ => self.not_armed_for(&closed),
+                }),
             },
         }
     }

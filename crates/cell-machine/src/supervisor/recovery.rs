@@ -97,7 +97,7 @@ impl Supervisor {
     fn suits(&self, devices: &DeviceSnapshot, way: WayBack) -> Result<(), String> {
         let holds = match gates::empty_handed(devices) {
             Ok(()) => false,
-            Err(gates::GateClosed::Holding(_)) => true,
+            Err(gates::GateClosed::Holding) => true,
             Err(closed) => return Err(format!("{}; {}", self.place(&closed), closed.hint())),
         };
         match way {

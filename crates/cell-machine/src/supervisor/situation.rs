@@ -92,7 +92,7 @@ impl Supervisor {
     /// gripper.
     pub(crate) fn ways_now(&self, devices: &DeviceSnapshot) -> Vec<WayBack> {
         let stopped = self.back.last_stop.is_some() || protective(devices);
-        let holds = matches!(gates::empty_handed(devices), Err(GateClosed::Holding(_)));
+        let holds = matches!(gates::empty_handed(devices), Err(GateClosed::Holding));
         let needed = stopped || self.holding_words().is_some() || holds;
         let ways = WAYS.map(|(way, _)| way).into_iter();
         ways.filter(|way| needed && self.may_recover(devices, *way).is_ok()).collect()

@@ -36,7 +36,7 @@ impl Supervisor {
         let stands = self.arm_stands(devices);
         self.stands |= stands && order.is_none();
         self.arm_settled = devices.arm_settled;
-        self.back.grips = matches!(gates::empty_handed(devices), Err(GateClosed::Holding(_)));
+        self.back.grips = matches!(gates::empty_handed(devices), Err(GateClosed::Holding));
         self.name_what_hangs(devices, out);
         for waits in std::mem::take(&mut self.until_it_stands) {
             let late = now.since(waits.since) >= STANDS_WITHIN;

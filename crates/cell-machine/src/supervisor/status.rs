@@ -300,7 +300,7 @@ impl Supervisor {
         }
         match self.may_arm(devices) {
             // What may hang on the gripper has its hint already.
-            Ok(()) | Err(GateClosed::Holding(_) | GateClosed::MayHang(_)) => hint,
+            Ok(()) | Err(GateClosed::Holding | GateClosed::MayHang(_)) => hint,
             Err(closed) => match self.before_arming(&closed) {
                 first if hint.contains(&first) => hint,
                 first => format!("{first}; {hint}"),

@@ -95,7 +95,7 @@ fn what_an_arming_lacks_comes_before_it_in_the_hint() {
             bench.ticks(1);
             let closed = bench.cell.may_arm(&bench.devices(&bench.robot)).expect_err(word);
             let expected = match closed {
-                GateClosed::Holding(_) => bench.cell.status().hint,
+                GateClosed::Holding => bench.cell.status().hint,
                 _ if !before.contains("`celld arm`") => before,
                 _ => format!("{}; {before}", closed.hint_before_arming()),
             };
@@ -108,6 +108,22 @@ fn what_an_arming_lacks_comes_before_it_in_the_hint() {
     bench.vacuum = [0.0, 0.4];
     bench.ticks(1);
     assert!(bench.cell.status().hint.contains("`celld recover` shows"), "{}", bench.cell.status().hint);
+}
+
+/// Readings scatter, and whoever watches the status is sent what changes alone.
+#[test]
+fn a_reading_of_the_vacuum_makes_no_other_status() {
+    let mut bench = Bench::new();
+    let mut of = |vacuum: f64| {
+        bench.vacuum = [0.0, vacuum];
+        bench.ticks(1);
+        bench.cell.status_with(&bench.devices(&bench.robot))
+    };
+    let (one, other) = (of(0.60), of(0.61));
+    assert_eq!(one, other);
+    assert!(one.arm_refused.is_some_and(|why| why.contains("may hang on the gripper")));
+    let free = of(0.0);
+    assert_eq!((free.armed, free.arm_refused), (false, None));
 }
 
 /// A client that holds the inputs is named; the controller answers a `ping`.
