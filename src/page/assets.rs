@@ -301,7 +301,8 @@ mod tests {
     }
 
     /// Refusals to arm that no case of the pages comes to.
-    const REFUSALS: [&str; 3] = [
+    const REFUSALS: [&str; 4] = [
+        "not armed: `celld arm` is refused: the cell is locked or ends",
         "not armed: celld is ending",
         "not armed: a release is under way, and the gripper has not confirmed it yet; try again",
         "not armed: the pick-n-place under way is finished first; then `celld arm`",

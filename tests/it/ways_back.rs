@@ -78,6 +78,19 @@ fn check_table(pair: &Pair, stage: &Stage, seed: u64) {
     }
 }
 
+/// What is said of the place at the end is what was announced, or has its reason.
+fn check_place(said: &[&String], announced: &str, seed: u64) {
+    let place =
+        |text: &str| text.split_once(" (").and_then(|(_, rest)| Some(rest.split_once(')')?.0.to_string()));
+    let end = said.iter().find(|text| text.contains("was put down ")).expect("it was put down");
+    let meant = place(announced).is_some() && place(end) == place(announced);
+    let elsewhere = end.contains("at the nearest free place") && end.contains("): ");
+    assert!(
+        end.contains("where it was to go (") == meant && meant != elsewhere,
+        "seed {seed}: {end}, {announced}"
+    );
+}
+
 fn placed_after_a_protective_stop(seed: u64, eye: SightKind) {
     let (mut pair, stage) = carrying(seed, eye);
     fault(&mut pair, PROTECTIVE_STOP);
@@ -88,7 +101,7 @@ fn placed_after_a_protective_stop(seed: u64, eye: SightKind) {
     let over = pair.run_until(90.0, |pair| at_rest_and_disarmed(pair) && safe(pair));
     let said: Vec<_> = pair.notices().iter().rev().take(4).map(|notice| &notice.text).collect();
     assert!(over && !holds(&pair), "seed {seed}: {said:?}");
-    assert!(said.iter().any(|text| text.contains("was put down ")), "seed {seed}: {said:?}");
+    check_place(&said, &reply.message, seed);
     check_table(&pair, &stage, seed);
     assert_eq!(pair.breaches(), [], "seed {seed}");
     // Work goes on.

@@ -29,13 +29,26 @@ function jobText() {
   return JSON.stringify(job);
 }
 
+/** What is wrong, without where in the text that this page has written. */
+const plain = (message) => message.replace(/^job:\d+:\d+: /gm, "").replace(/ \(line \d+\)/g, "");
+
 /** What submitting lets begin at once; null where the cell has to be armed first. */
 export function whatSubmitStarts() {
   const { status } = state;
   if (!status?.armed) return null;
-  if (status.job) return t("The cell is armed: the job begins behind {job}.", { job: status.job });
-  if (status.paused) return t("The cell is armed and paused: the job begins after Resume.");
-  return t("The cell is armed: the arm moves as soon as a job is submitted, to look at the table.");
+  if (status.job) return t("The cell is armed: a job that is submitted now begins behind {job}.", { job: status.job });
+  if (status.paused) return t("The cell is armed and paused: a job that is submitted begins after Resume.");
+  return t("The cell is armed: the arm moves as soon as a job is submitted, to look at the table; “Look at the table” is such a job.");
+}
+
+/** The same of a job that is just submitted, whose plan is approved so. */
+export function whatBegins(approval) {
+  const { status } = state;
+  const then = approval && approval !== "never" ? ` ${t("Its plan then waits for approval, under Now.")}` : "";
+  if (!status?.armed) return t("It begins once the cell is armed.") + then;
+  if (status.job) return t("It begins behind {job}.", { job: status.job }) + then;
+  if (status.paused) return t("It begins after Resume.") + then;
+  return t("THE ARM MOVES NOW, to look at the table.") + then;
 }
 
 export function goalPage(main) {
@@ -275,31 +288,31 @@ export function goalPage(main) {
       draw();
       return answer;
     } catch (error) {
-      fill(result, h("p", { class: "note wrong" }, here(error.message), error.hint ? h("span", {}, h("br"), "→ ", here(error.hint)) : null));
+      fill(result, h("p", { class: "note wrong" }, here(plain(error.message)), error.hint ? h("span", {}, h("br"), "→ ", here(error.hint)) : null));
     }
   };
 
   const submit = async () => {
     if (nothingYet()) return;
-    const starts = whatSubmitStarts();
+    const starts = whatBegins(document.getElementById("approval")?.value || state.cell.approval);
     try {
       const { id, state: word, message } = await handIn("jobs", { text: jobText(), name: "page" });
       // From now on the plan is the job's own.
       draft.plan = null;
       draw();
-      fill(result, h("p", { class: "note", id: "submitted" }, t("Submitted: job {job}, {state}.", { job: id, state: t(word) }), message ? ` ${here(message)}` : "", starts ? [" ", h("strong", {}, starts)] : "", " ", h("a", { href: "#live" }, t("To the cell"))));
+      fill(result, h("p", { class: "note", id: "submitted" }, t("Submitted: job {job}, {state}.", { job: id, state: t(word) }), message ? ` ${here(message)}` : "", " ", h("strong", {}, starts), " ", h("a", { href: "#live" }, t("To the cell"))));
     } catch (error) {
-      fill(result, h("p", { class: "note wrong" }, here(error.message)));
+      fill(result, h("p", { class: "note wrong" }, here(plain(error.message))));
     }
   };
 
   const lookAround = async () => {
-    const starts = whatSubmitStarts();
+    const starts = whatBegins(null);
     try {
       const { id } = await handIn("jobs", { text: JSON.stringify({ version: 1, goal: { look: true }, rerun: true }), name: "look" });
-      fill(result, h("p", { class: "note", id: "looking" }, t("Job {job} looks at the table as soon as the cell is armed.", { job: id }), " ", starts && h("strong", {}, starts, " "), h("a", { href: "#live" }, t("To the cell"))));
+      fill(result, h("p", { class: "note", id: "looking" }, t("Job {job} looks at the table.", { job: id }), " ", h("strong", {}, starts), " ", h("a", { href: "#live" }, t("To the cell"))));
     } catch (error) {
-      fill(result, h("p", { class: "note wrong" }, here(error.message)));
+      fill(result, h("p", { class: "note wrong" }, here(plain(error.message))));
     }
   };
 
@@ -315,7 +328,7 @@ export function goalPage(main) {
       draft.poses = new Map(wanted.map(({ id, pose }) => [id, pose]));
       changed(null);
     } catch (error) {
-      fill(result, h("p", { class: "note wrong" }, here(error.message)));
+      fill(result, h("p", { class: "note wrong" }, here(plain(error.message))));
     }
   });
   const save = async () => {
@@ -326,7 +339,7 @@ export function goalPage(main) {
       fill(result, h("p", { class: "note" }, t("Saved as {name}.", { name })));
       listFiles();
     } catch (error) {
-      fill(result, h("p", { class: "note wrong" }, here(error.message)));
+      fill(result, h("p", { class: "note wrong" }, here(plain(error.message))));
     }
   };
 
@@ -359,6 +372,6 @@ export function goalPage(main) {
   warn();
   listFiles();
   if (!draft.poses.size && state.sight) take(); else { draw(); check(null); }
-  const stops = [on("sight", () => (draft.poses.size ? draw() : take())), on("carried", () => draw()), on("status", warn)];
+  const stops = [on("sight", () => { document.getElementById("looking")?.remove(); draft.poses.size ? draw() : take(); }), on("carried", () => draw()), on("status", warn)];
   return () => stops.forEach((stop) => stop());
 }

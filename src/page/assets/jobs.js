@@ -2,7 +2,7 @@
 
 import { h, card, fill } from "./dom.js";
 import { api, handIn, may, on, state } from "./net.js";
-import { whatSubmitStarts } from "./goal.js";
+import { whatBegins, whatSubmitStarts } from "./goal.js";
 import { here, t, moment, duration, number } from "./text.js";
 
 /** Report and played-back run in the light of this page. */
@@ -21,13 +21,13 @@ function row(job, open) {
     `said`, where the answer goes, stays when this job is drawn anew. */
 function onceMore(job, { said, starting }) {
   const submit = async () => {
-    const starts = whatSubmitStarts();
+    const starts = whatBegins(job.approval ?? state.cell.approval);
     // One job a click, however long the cell takes to read it.
     button.disabled = true;
     fill(said, h("p", { class: "note" }, t("submitting …")));
     try {
       const { id, state: became, message } = await handIn(`jobs/${encodeURIComponent(job.id)}/again`);
-      fill(said, h("p", { class: "note", id: "submitted" }, t("Submitted: job {job}, {state}.", { job: id, state: t(became) }), message ? ` ${here(message)}` : "", starts ? [" ", h("strong", {}, starts)] : "", " ", h("a", { href: "#live" }, t("To the cell"))));
+      fill(said, h("p", { class: "note", id: "submitted" }, t("Submitted: job {job}, {state}.", { job: id, state: t(became) }), message ? ` ${here(message)}` : "", " ", h("strong", {}, starts), " ", h("a", { href: "#live" }, t("To the cell"))));
     } catch (error) {
       fill(said, h("p", { class: "note wrong" }, here(error.message)));
     }
@@ -37,6 +37,9 @@ function onceMore(job, { said, starting }) {
   return [button, starting];
 }
 
+/** The hint of the last job is still to be followed; that of a stop until the stop is left. */
+const ofNow = (job) => job.last && (job.state !== "interrupted" || Boolean(state.status?.stopped));
+
 function detail(job, parts) {
   const id = encodeURIComponent(job.id);
   const result = job.result;
@@ -44,7 +47,7 @@ function detail(job, parts) {
   const image = (name, words) => job.files.includes(name) && h("figure", {}, h("img", { src: `/api/v1/jobs/${id}/files/${name}`, alt: words, width: "100%" }), h("figcaption", { class: "soft" }, words));
   return [
     h("p", { class: "say" }, word(job.state), job.ended_unix_s ? h("span", { class: "soft" }, `, ${moment(job.ended_unix_s)}`) : "", result ? ` – ${here(result.message)}` : ""),
-    result?.hint && h("p", { class: "hint" }, job.last ? "→ " : `${t("what was to be done")}: `, here(result.hint)),
+    result?.hint && h("p", { class: "hint" }, ofNow(job) ? "→ " : `${t("what was to be done")}: `, here(result.hint)),
     h("div", { class: "row" }, h("a", { class: "button", href: `/api/v1/jobs/${id}/report${light()}`, target: "_blank" }, t("Report")), job.recorded && h("a", { class: "button", id: "playback", href: `/api/v1/jobs/${id}/playback${light()}`, target: "_blank" }, t("Play back")), job.ended_unix_s && onceMore(job, parts)),
     h("div", { class: "grid" },
       h("div", {}, h("h3", {}, t("Story")), h("div", { class: "scroll" }, h("table", { id: "story" }, job.lines.map(({ unix_s, text }) => h("tr", {}, h("td", { class: "when soft" }, unix_s === null ? "" : moment(unix_s)), h("td", {}, here(text)))))),
@@ -94,7 +97,7 @@ export function jobsPage(main, chosen) {
   warn();
   const stop = on("status", () => {
     warn();
-    const now = JSON.stringify([state.status?.job, state.status?.waiting]);
+    const now = JSON.stringify([state.status?.job, state.status?.waiting, Boolean(state.status?.stopped)]);
     if (now !== key) { key = now; update(); if (chosen) show(chosen); }
   });
   update();

@@ -42,7 +42,7 @@ function now() {
   return [
     h("p", { class: "badges" },
       // What is under way is finished: until then the arm moves in a cell that is disarmed or paused.
-      h("span", { class: `badge ${status.armed || status.moving ? "warn" : "good"}`, id: "armed" }, status.armed ? t("ARMED: the arm may move") : status.moving ? t("disarmed, THE ARM MAY STILL MOVE") : t("disarmed")), " ",
+      h("span", { class: `badge ${status.armed || status.moving ? "warn" : "good"}`, id: "armed" }, status.armed ? (status.paused && !status.moving ? t("ARMED") : t("ARMED: the arm may move")) : status.moving ? t("disarmed, THE ARM MAY STILL MOVE") : t("disarmed")), " ",
       status.paused && h("span", { class: "badge warn", id: "paused" }, status.moving ? t("pausing, THE ARM MAY STILL MOVE") : t("paused")), " ",
       status.holding && h("span", { class: "badge warn", id: "holding" }, t("gripper"), ": ", here(status.holding))),
     h("p", { class: "say", id: "message", role: "status" }, status.stopped && !status.armed && status.message === "idle" ? t("stopped") : here(status.message)),
@@ -50,8 +50,8 @@ function now() {
     !status.hint && status.holding && !status.armed && !status.moving && h("p", { class: "hint" }, "→ ", t("Something hangs, or may hang, on the gripper: the ways back are below the orders.")),
     status.shared && h("p", { class: "soft", id: "shared" }, t("Configuration shared with other cells"), ": ", status.shared),
     status.because && h("p", { class: "soft" }, here(status.because)),
-    // Nothing was looked at since celld was started: where to begin.
-    !state.sight && !status.job && !status.stopped && !status.holding && h("p", { class: "soft", id: "begin" }, t("To begin:"), " ", h("a", { href: "#goal" }, t("Set a goal")), ". ", t("Once the cell is armed, the arm moves to look at the table; nothing is picked before there is a plan.")),
+    // Nothing is to be done: where to begin.
+    !status.job && !status.stopped && !status.holding && h("p", { class: "soft", id: "begin" }, t("To begin:"), " ", h("a", { href: "#goal" }, t("Set a goal")), ". ", !state.sight && t("Arming switches the arm on and releases its brakes. Then the arm moves to look at the table; nothing is picked before there is a plan.")),
     // On a way back it is being left.
     status.stopped && !status.armed && h("p", { class: "note wrong", id: "stopped" }, h("strong", {}, status.stopped.job && status.stopped.job !== status.job ? [t("Job {job}", { job: status.stopped.job }), ": "] : "", here(status.stopped.message)), h("br"), status.stopped.hint === status.hint ? "" : here(status.stopped.hint)),
     status.job && h("div", {}, h("p", {}, h("strong", {}, t("Job {job}", { job: status.job })), all ? `: ${t("{made} of {all} moves", { made, all })}` : "", left === null ? "" : made < all ? `, ${t("about {time} left, then a last look", { time: duration(left) })}` : `, ${t("a last look at the table")}`),
@@ -105,6 +105,7 @@ export function tableCard() {
   const sight = h("p", { class: "soft" });
   const element = card(t("Table"), holder, scrub, sight);
   let [plan, follow] = [null, null];
+  let before = { made: 0, waiting: 0 };
   const draw = () => {
     if (!state.cell) return;
     const status = state.status;
@@ -113,6 +114,10 @@ export function tableCard() {
       slider.max = plan?.steps.length ?? 0;
       slider.value = 0;
     }
+    // What is to come is shown while it is decided; once the arm works, the table is that of now.
+    const present = { made: status?.step?.[0] ?? 0, waiting: status?.awaiting_approval.length ?? 0 };
+    if (present.made > before.made || present.waiting < before.waiting) slider.value = 0;
+    before = present;
     scrub.hidden = !plan?.steps.length;
     const count = Number(slider.value);
     const seen = state.sight;

@@ -16,9 +16,11 @@ const screens = { live: ["Now", livePage], goal: ["Set a goal", goalPage], jobs:
 let leave = () => {};
 
 function gate(message) {
+  // A link that is pasted into this window changes what is behind its # alone.
+  window.addEventListener("hashchange", () => location.reload());
   fill(bar, h("h1", {}, "celld"));
   fill(main, h("section", { class: "card gate" }, h("h2", {}, t("Sign in")), message && h("p", { class: "note wrong" }, message),
-    h("p", {}, t("On the cell's computer, run:")), h("pre", {}, "celld open"),
+    h("p", {}, t("On the cell's computer, run:")), h("pre", {}, "celld open"), h("p", { class: "soft" }, t("with the --state or --config of celld itself, where it was started with one")),
     h("p", { class: "soft" }, t("It opens this page with a link that counts once. For another computer: celld open --print, and open the link there."))));
 }
 
@@ -51,8 +53,8 @@ async function pressed() {
 function drawMode() {
   const badge = document.getElementById("bar-mode");
   if (!badge || !state.status) return;
-  const { armed, paused, moving, stopped } = state.status;
-  badge.className = `badge ${armed || moving ? "warn" : "good"}`;
+  const { armed, paused, moving, stopped, holding } = state.status;
+  badge.className = `badge ${armed || moving || stopped || holding ? "warn" : "good"}`;
   badge.textContent = [armed ? t("ARMED") : moving ? t("MAY STILL MOVE") : t("disarmed"), paused && (armed && moving ? t("pausing, MAY STILL MOVE") : t("paused")), stopped && !armed && t("stopped")].filter(Boolean).join(", ");
 }
 
@@ -65,7 +67,7 @@ function drawBar() {
     h("span", { id: "bar-mode" }),
     h("span", { class: "fill" }),
     h("span", { class: "who" }, `${state.me.name}, ${t(state.me.role)}`),
-    h("div", { class: "stop" }, h("button", { type: "button", class: "halt", id: "stop", click: pressed }, t("Stop")), h("small", {}, t("stops and disarms; no emergency stop"))),
+    h("div", { class: "stop" }, h("button", { type: "button", class: "halt", id: "stop", click: pressed }, t("Stop")), h("small", {}, t("stops and disarms; not the emergency stop"))),
     h("p", { id: "stopping", role: "alert", hidden: true }),
     h("p", { id: "stale", role: "alert", hidden: !state.stale }, t("No connection to celld: what is shown is old. Only Stop, Disarm, Pause and Abort are sent.")));
   drawMode();

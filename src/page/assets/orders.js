@@ -14,10 +14,11 @@ const AGAIN_MS = 400;
 /** A button that acts when it was held down, by finger, mouse or key. What counts is when finger or key did
     what they did, not when a busy page comes to know of it: a click is a click whatever the page was at. */
 export function hold(label, act, attributes = {}) {
-  let [timer, since] = [null, 0];
+  let [timer, since, reminded] = [null, 0, null];
   const button = h("button", { type: "button", class: "hold", "aria-description": t("hold for a second"), ...attributes }, label);
   const begin = (event) => {
     if (timer || button.disabled) return;
+    remind(false);
     button.classList.add("holding");
     since = event.timeStamp;
     window.addEventListener("pointerup", end);
@@ -36,8 +37,20 @@ export function hold(label, act, attributes = {}) {
     const letGo = event.type === "pointerup" || event.type === "keyup";
     const held = letGo && event.timeStamp - since >= HOLD_MS;
     // Who only clicks sees why nothing came of it.
-    if (letGo && !held) missed(label, t("nothing was ordered: hold the button down for a second"));
+    if (letGo && !held) {
+      missed(label, t("nothing was ordered: hold the button down for a second"));
+      remind(true);
+    }
     over(held);
+  };
+  /** Said where the finger is, too: the answers may be further down than the screen. The size stays. */
+  const remind = (on) => {
+    const { width, height } = button.getBoundingClientRect();
+    Object.assign(button.style, on ? { width: `${width}px`, height: `${height}px` } : { width: "", height: "" });
+    button.classList.toggle("reminds", on);
+    button.textContent = on ? t("hold for a second") : label;
+    clearTimeout(reminded);
+    if (on) reminded = setTimeout(() => remind(false), 2000);
   };
   const over = (held) => {
     clearTimeout(timer);
@@ -110,7 +123,7 @@ function ways() {
     h("div", { class: "row" },
       h("button", { type: "button", id: "recover-show", disabled: state.stale, click: () => give(t("Leave the stop"), { do: "recover", how: "show" }) }, t("What happened?")),
       way("place", t("Put it down")), way("hold", t("Keep holding")), way("retreat", t("Straight up")), way("release", t("Let go (hold it by hand)"))),
-    h("p", { class: "soft" }, t("A way back is held down for a second. Put it down and Straight up MOVE THE ARM at once, whatever is paused. Each is your word that the cell is safe; afterwards it is disarmed.")));
+    h("p", { class: "soft" }, t("Hold the button of a way back down for a second. Put it down and Straight up MOVE THE ARM at once, whatever is paused. Each is your word that the cell is safe; afterwards it is disarmed.")));
 }
 
 /** What may set the arm in motion can be ordered: by role, from here, of a cell that is seen as it is now. */
@@ -125,7 +138,7 @@ function allow(element, status) {
   const refused = element.querySelector("#arm-refused span");
   if (refused && refused.dataset.said !== status.arm_refused) {
     refused.dataset.said = status.arm_refused ?? "";
-    refused.textContent = here(status.arm_refused ?? "");
+    refused.textContent = here((status.arm_refused ?? "").replace("not armed: ", ""));
   }
 }
 
@@ -162,7 +175,7 @@ function settled() {
 
 export function orders() {
   const body = h("div");
-  const element = card(t("Orders"), body, answers);
+  const element = card(t("Orders"), body, answers, explained());
   let drawn = "";
   const draw = () => {
     const status = state.status;
@@ -175,31 +188,50 @@ export function orders() {
     const can = may("operate") && !state.stale && status.state !== "starting";
     const go = can && moves();
     const holder = state.control;
+    // The buttons first, and each in its place whatever the state is: a second press never means the opposite,
+    // and nothing that comes or goes moves another under the finger.
     fill(body,
+      h("div", { class: "row" },
+        button(t("Arm"), { do: "arm" }, go && !status.armed && !status.arm_refused, { class: status.armed || status.moving || status.stopped || status.holding ? null : "first" }),
+        button(t("Disarm"), { do: "disarm" }, true),
+        button(t("Pause"), { do: "pause" }, !status.paused && status.state !== "starting" && !onAWayBack),
+        button(t("Resume"), { do: "resume" }, go && status.paused, { class: status.paused && status.armed ? "first" : null }),
+        button(t("One step"), { do: "step" }, go && status.paused && status.armed),
+        button(t("Abort"), { do: "abort" }, true),
+        button(t("Park"), { do: "park" }, go && status.armed && !status.job && !onAWayBack),
+        hold(t("Release the vacuum"), () => give(t("Release"), { do: "release", channel: null }), { id: "order-release", disabled: !go }),
+        status.job && button(t("Cancel the job"), { do: "cancel", id: status.job }, can, { title: status.job })),
+      leaves(status) && ways(),
+      approval(status),
+      // Beside a move that is finished the cell says what is under way, and nobody has pressed anything.
+      !status.armed && status.arm_refused && !(status.moving && !onAWayBack && !status.stopped) && h("p", { class: "soft", id: "arm-refused" }, h("strong", {}, t("It cannot be armed now:"), " "), h("span")),
       h("p", { class: "soft" }, holder ? (mine() ? t("You have control.") : t("{name} has control.", { name: holder.name })) : t("Nobody has control: the first order takes it."), " ",
         may("operate") && (mine()
           ? h("button", { type: "button", id: "control", click: () => control(false) }, t("Give back"))
           : h("button", { type: "button", id: "control", click: () => control(true) }, t("Take control")))),
-      state.me && !state.me.moves && h("p", { class: "note" }, t("From this computer the arm cannot be moved: see page.control_from.")),
-      approval(status),
-      h("div", { class: "row" },
-        // Each in its place whatever the state is: a second press never means the opposite.
-        button(t("Arm"), { do: "arm" }, go && !status.armed && !status.arm_refused, { class: status.armed || status.moving || status.stopped || status.holding ? null : "first" }),
-        button(t("Disarm"), { do: "disarm" }, true),
-        button(t("Pause"), { do: "pause" }, !status.paused && status.state !== "starting" && !onAWayBack),
-        button(t("Resume"), { do: "resume" }, go && status.paused, { class: status.paused ? "first" : null }),
-        button(t("One step"), { do: "step" }, go && status.paused),
-        button(t("Abort"), { do: "abort" }, true),
-        button(t("Park"), { do: "park" }, go && status.armed && !status.job && !onAWayBack),
-        status.job && button(t("Cancel the job"), { do: "cancel", id: status.job }, can, { title: status.job }),
-        hold(t("Release the vacuum"), () => give(t("Release"), { do: "release", channel: null }), { id: "order-release", disabled: !go })),
-      !status.armed && status.arm_refused && h("p", { class: "soft", id: "arm-refused" }, h("strong", {}, t("Arm"), ": "), h("span")),
-      leaves(status) && ways());
+      state.me && !state.me.moves && h("p", { class: "note" }, t("From this computer the arm cannot be moved: see page.control_from.")));
     allow(body, status);
   };
   const stops = [on("status", settled), on("status", draw), on("stale", () => { drawn = ""; draw(); }), on("control", draw), on("me", draw)];
   draw();
   return { element, stop: () => stops.forEach((stop) => stop()) };
+}
+
+/** What each order does, for who is about to press one for the first time. */
+function explained() {
+  const words = [
+    [t("Arm"), t("lets the arm move, for jobs and for orders; the table is looked at first")],
+    [t("Disarm"), t("finishes the pick-n-place under way; then nothing moves until the cell is armed again")],
+    [t("Pause"), t("finishes the pick-n-place under way, then waits for Resume")],
+    [t("One step"), t("one pick-n-place, then a pause")],
+    [t("Abort"), t("stops the arm now and disarms: the job ends, what is held stays held")],
+    [t("Stop"), t("Abort and Disarm in one, on every screen; it is not the emergency stop")],
+    [t("Park"), t("MOVES THE ARM to its park pose")],
+    [t("Cancel the job"), t("ends the job after the pick-n-place or look under way; the cell stays armed")],
+    [t("Reject"), t("ends the job whose plan waits: nothing of it is carried out")],
+    [t("Release the vacuum"), t("stops and disarms, and lets go of what hangs: hold it by hand")],
+  ];
+  return h("details", { id: "explained" }, h("summary", {}, t("What the orders do")), h("dl", {}, words.map(([name, what]) => [h("dt", {}, name), h("dd", {}, what)])));
 }
 
 async function control(take) {

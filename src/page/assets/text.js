@@ -53,7 +53,8 @@ export function know(ids) {
 
 /** One phrase of the cell: in the table numbers are `#`, objects `OBJECT` and jobs `JOB`, in the same order. */
 function phrase(text) {
-  return filled(text, false) ?? filled(text, true) ?? text;
+  const [, lead, rest] = text.match(/^(\s*)([^]*)$/);
+  return lead + (filled(rest, false) ?? filled(rest, true) ?? rest);
 }
 
 /** The phrase of the table with what the text has in its holes. A job is known by the word before its name. */
@@ -67,13 +68,17 @@ function filled(text, jobs) {
     found[hole].push(part);
     return hole;
   });
-  return phrases.get(key)?.replace(/#|OBJECT|JOB/g, (hole) => found[hole].shift() ?? hole);
+  return phrases.get(key)?.replace(/#|OBJECT|JOB/g, (hole) => local(found[hole].shift() ?? hole));
 }
+
+/** A number with the decimal mark of the language; names and addresses as they are. */
+const local = (text) => (/^-?\d+\.\d+$/.test(text) ? text.replace(".", (1.5).toLocaleString(shown)[1]) : text);
 
 /** A sentence of the cell in the chosen language. */
 function said(text) {
   if (shown === "en") return text;
-  return text.split(/(; |: |, then |\n)/).map((part, index) => (index % 2 ? table[part] ?? part : phrase(part))).join("");
+  text = text.replaceAll("` or `", `\` ${t("or")} \``);
+  return text.split(/(; |: |, then |\n|(?:celld recover )?--\w+ +)/).map((part, index) => (index % 2 ? table[part] ?? part : phrase(part))).join("");
 }
 
 /** A button's name in the quotation marks of the language. */

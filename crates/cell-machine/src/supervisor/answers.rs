@@ -33,6 +33,9 @@ impl Supervisor {
                 Reply::accept("one pick-n-place once the plan is approved, then a pause")
             }
             Order::Step => Reply::accept(match &self.job {
+                Some(_) if matches!(self.phase, Phase::Work(_)) => {
+                    "the pick-n-place under way is this step; then a pause"
+                }
                 Some(job) if self.only_looks(job) => {
                     "a last look at the table, and one pick-n-place where more is to be done; then a pause"
                 }
@@ -150,6 +153,9 @@ impl Supervisor {
         match (&self.phase, &self.waiting_for) {
             (Phase::Ready, Some(closed)) => format!("approved; nothing moves yet: {}", self.place(closed)),
             _ if self.mode.paused() => "approved; a pause is in force, `celld resume` ends it".to_string(),
+            _ if self.mode.pauses_after_this_move() => {
+                "approved: the arm makes one pick-n-place now, then a pause follows".to_string()
+            }
             (Phase::Look(_), _) => {
                 "approved: the arm looks at the table now, then carries the plan out".to_string()
             }

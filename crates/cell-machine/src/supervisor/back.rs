@@ -114,8 +114,8 @@ pub(crate) struct PlaceSearch {
 #[derive(Debug, Deserialize, Serialize)]
 pub(crate) struct Placing {
     pub to: Pose2,
-    /// It is the place it was carried to.
-    pub meant: bool,
+    /// Why it is not the place that it was carried to, where it is another.
+    pub elsewhere: Option<String>,
     pub up: CheckedPath,
 }
 

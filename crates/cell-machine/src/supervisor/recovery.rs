@@ -281,8 +281,9 @@ impl Supervisor {
             Searched::NotYet => self.seen = Some(seen),
             Searched::Found(to, meant, paths) => {
                 if let Some(recovery) = &mut self.back.recovery {
-                    recovery.place = Some(Placing { to, meant, up: paths.up });
-                    recovery.search = None;
+                    let why = recovery.search.take().and_then(|search| search.not_where_meant);
+                    let elsewhere = (!meant).then(|| why.unwrap_or_default());
+                    recovery.place = Some(Placing { to, elsewhere, up: paths.up });
                 }
                 out.push(Action::Robot(RobotCommand::Stream(paths.down)));
                 self.enter(Phase::Recover(BackStage::Placing), self.model.tolerances.phase_deadline);
@@ -370,9 +371,8 @@ impl Supervisor {
             BackStage::Leaving => {
                 let place = self.back.recovery.as_ref().and_then(|recovery| recovery.place.as_ref());
                 let said = place.map_or_else(String::new, |place| {
-                    let (at, search) = (place_words(&place.to), self.back.recovery.as_ref());
-                    let why = search.and_then(|back| back.search.as_ref()?.not_where_meant.clone());
-                    match why.filter(|_| !place.meant) {
+                    let at = place_words(&place.to);
+                    match &place.elsewhere {
                         Some(why) => format!("the object was put down at the nearest free place{at}: {why}"),
                         None => format!("the object was put down where it was to go{at}"),
                     }

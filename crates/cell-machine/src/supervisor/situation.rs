@@ -58,7 +58,7 @@ impl Supervisor {
         }
     }
 
-    /// The lines of `celld recover`.
+    /// The lines of `celld recover`. The page has them in other languages too, phrase by phrase.
     pub(crate) fn situation(&self, now: Timestamp, devices: &DeviceSnapshot) -> String {
         let mut lines = vec![self.what_happened(now)];
         lines.extend(self.back.error.map(|(code, argument)| {
@@ -111,7 +111,7 @@ impl Supervisor {
                     Some(at) => format!("{} s ago", now.since(at).as_secs()),
                     None => "before this start".to_string(),
                 };
-                format!("what happened: {} ({}), {when}", stop.reason.message, stop.reason.code)
+                format!("what happened: {}; {}, {when}", stop.reason.message, stop.reason.code)
             }
         }
     }
@@ -128,7 +128,7 @@ impl Supervisor {
             None => "control not known",
         };
         format!(
-            "robot: safety mode {}, robot mode {}, program {}, {control}{}",
+            "robot: safety mode {}; robot mode {}; program {}; {control}{}",
             robot.safety_mode,
             robot.robot_mode,
             robot.runtime_state.to_string().to_lowercase(),
@@ -161,7 +161,8 @@ impl Supervisor {
     fn where_the_arm_is(&self, devices: &DeviceSnapshot) -> Option<String> {
         let robot = devices.robot?;
         let tool = self.model.arm.tool_at(&robot.q).translation.vector;
-        let height = (tool.z - self.held_height()) * 1e3;
+        // Rounded, and never "-0".
+        let height = ((tool.z - self.held_height()) * 1e3).round() + 0.0;
         let what = match (&self.back.held, &self.back.fell) {
             (Some(_), None) => "what hangs on it",
             (Some(_), Some(_)) => "what may hang on it",

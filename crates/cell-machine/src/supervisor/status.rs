@@ -3,12 +3,13 @@
 //! In: the supervisor's state. Out: [`Status`], in values that programs compare and in words for people.
 
 use crate::code::Code;
-use crate::orders::WayBack;
+use crate::orders::{Approval, WayBack};
+use crate::supervisor::back::LastStop;
 use crate::supervisor::cell::Supervisor;
 use crate::supervisor::gates::GateClosed;
 use crate::supervisor::input::DeviceSnapshot;
 pub use crate::supervisor::phase::WorkStep;
-use crate::supervisor::phase::{Phase, WorkStage};
+use crate::supervisor::phase::{JobRun, Phase, WorkStage};
 use crate::supervisor::reason::Reason;
 use crate::supervisor::round::Round;
 use crate::times::TimeSplit;
@@ -342,7 +343,7 @@ impl Supervisor {
             }
             Phase::Ready => match (self.locked(), stopped, &self.waiting_for) {
                 (Some(closed), ..) => closed.hint().to_string(),
-                (None, Some(stop), _) => self.stop_hint(stop),
+                (None, Some(stop), _) => format!("{}{}", self.stop_hint(stop), self.next_after(stop)),
                 (None, None, Some(GateClosed::Disarmed))
                     if self.holding_words().is_some() || self.back.grips =>
                 {
@@ -366,6 +367,21 @@ impl Supervisor {
             | Phase::Recover(_)
             | Phase::Visit(_) => String::new(),
         }
+    }
+
+    /// What the arming after a stop begins, where that is another job than the one that was stopped.
+    fn next_after(&self, stop: &LastStop) -> String {
+        let other = |job: &&JobRun| !stop.keeps_job && stop.job.as_ref() != Some(&job.order.id);
+        let Some(job) = self.job.as_ref().filter(other) else { return String::new() };
+        let then = match (self.mode.paused(), job.order.approval, self.plan_is_agreed_to()) {
+            (true, ..) => "a pause is in force, `celld resume` ends it",
+            (false, _, true) => "after a look the arm carries out what was approved",
+            (false, Approval::Never, false) => "after a look the arm carries out what is planned",
+            (false, Approval::Job | Approval::Always, false) => {
+                "the arm looks, and the plan waits for approval"
+            }
+        };
+        format!("; `celld arm` begins job {}: {then}", job.order.id)
     }
 
     /// An armed cell goes on by itself as soon as it can: no person is sent to it before it is disarmed.

@@ -79,7 +79,7 @@ fn what_an_arming_lacks_comes_before_it_in_the_hint() {
     let stop = |keeps_job: bool| LastStop {
         at: (!keeps_job).then_some(Timestamp::ZERO),
         reason: Code::VacuumLost.because("a was lost", "see where it lies"),
-        job: None,
+        job: (!keeps_job).then(|| "j".to_string()),
         keeps_job,
     };
     for last_stop in [None, Some(stop(true)), Some(stop(false))] {
@@ -108,6 +108,34 @@ fn what_an_arming_lacks_comes_before_it_in_the_hint() {
     bench.vacuum = [0.0, 0.4];
     bench.ticks(1);
     assert!(bench.cell.status().hint.contains("`celld recover` shows"), "{}", bench.cell.status().hint);
+}
+
+/// The stop is of the job before, and it is the next one that an arming begins.
+#[test]
+fn after_a_stop_the_hint_says_what_an_arming_begins() {
+    for (agreed, pause, words) in [
+        (false, false, "`celld arm` begins job j: the arm looks, and the plan waits for approval"),
+        (true, false, "`celld arm` begins job j: after a look the arm carries out what was approved"),
+        (true, true, "`celld arm` begins job j: a pause is in force, `celld resume` ends it"),
+    ] {
+        let mut bench = Bench::new();
+        bench.job(false);
+        bench.cell.job.as_mut().expect("a job").order.approval = Approval::Job;
+        bench.cell.job.as_mut().expect("a job").approved = agreed;
+        if pause {
+            bench.feed(order(Order::Pause));
+        }
+        bench.cell.back.last_stop = Some(LastStop {
+            at: Some(Timestamp::ZERO),
+            reason: Code::Aborted
+                .because("the operator stopped", "see that the cell is safe; then `celld arm`"),
+            job: Some("before".into()),
+            keeps_job: false,
+        });
+        bench.ticks(1);
+        let hint = bench.cell.status().hint;
+        assert!(hint.starts_with("see that the cell is safe") && hint.ends_with(words), "{hint}");
+    }
 }
 
 /// Readings scatter, and whoever watches the status is sent what changes alone.

@@ -409,7 +409,10 @@ fn an_order_is_answered_by_what_it_led_to() {
     let armed = reported(&mut bench, Order::Arm);
     assert!(armed.1.contains("the pick-n-place under way goes on"), "{armed:?}");
     let mut bench = working();
-    assert_eq!(reported(&mut bench, Order::Step), (true, "one pick-n-place, then a pause".into()));
+    assert_eq!(
+        reported(&mut bench, Order::Step),
+        (true, "the pick-n-place under way is this step; then a pause".into())
+    );
     let on = "goes on: no pause follows this pick-n-place";
     assert_eq!(reported(&mut bench, Order::Resume), (true, on.into()), "before the pause has come");
     assert!(bench.cell.mode.runs());
