@@ -192,8 +192,8 @@ impl Playback {
             stopped: status.stopped.as_ref().map(in_words),
             // What the stop has to say is said with it.
             hint: match &status.stopped {
-                Some(stop) if stop.hint == status.hint => String::new(),
-                _ => status.hint.clone(),
+                Some(stop) => status.hint.replacen(&stop.hint, "", 1).trim_matches([';', ' ']).to_string(),
+                None => status.hint.clone(),
             },
         };
         if self.run.states.last().is_none_or(|(_, last)| *last != state) {

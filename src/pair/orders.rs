@@ -111,6 +111,8 @@ pub struct Found {
     pub armed: (bool, bool),
     /// Why the status said an order to arm would be refused, when the order was given.
     pub arm_refused: Option<String>,
+    /// Of the plan nothing was left but the last look.
+    pub last_look_left: bool,
     /// A pause was in force after the answer.
     pub paused: bool,
     /// And is at the end of what was watched.
@@ -155,6 +157,9 @@ pub fn case(stage: &Stage, state: &State, given: &Given) -> Result<Found, String
         held: (holds(&pair), false),
         ..Found::default()
     };
+    found.last_look_left = pair.status().is_some_and(|status| {
+        status.doing == Doing::Paused && status.moves > 0 && status.remaining_moves == 0
+    });
     found.arm_refused = pair.status().and_then(|status| status.arm_refused.clone());
     let ended = pair.reports().len();
     let active = pair.store().active().unwrap_or("none").to_string();
@@ -237,7 +242,8 @@ pub fn judge(given: &Given, found: &Found) -> Vec<String> {
         "resume" => must(!found.paused, "no pause is left"),
         "step" => {
             must(found.armed.1, "a step is of an armed cell");
-            must(!says("a last look") || found.stays_paused, "a pause follows");
+            let last = found.last_look_left;
+            must(says("a last look") == last && (!last || found.stays_paused), "a last look, then a pause");
         }
         "park" => {
             must(found.parked || says("approved") || says("held now") || says("already"), "the arm is parked")

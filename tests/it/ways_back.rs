@@ -78,8 +78,8 @@ fn check_table(pair: &Pair, stage: &Stage, seed: u64) {
     }
 }
 
-/// What is said of the place at the end is what was announced, or has its reason.
-fn check_place(said: &[&String], announced: &str, seed: u64) {
+/// What is said of the place at the end is what was announced, or another with its reason; true of another.
+fn check_place(said: &[&String], announced: &str, seed: u64) -> bool {
     let place =
         |text: &str| text.split_once(" (").and_then(|(_, rest)| Some(rest.split_once(')')?.0.to_string()));
     let end = said.iter().find(|text| text.contains("was put down ")).expect("it was put down");
@@ -89,19 +89,37 @@ fn check_place(said: &[&String], announced: &str, seed: u64) {
         end.contains("where it was to go (") == meant && meant != elsewhere,
         "seed {seed}: {end}, {announced}"
     );
+    elsewhere
 }
 
-fn placed_after_a_protective_stop(seed: u64, eye: SightKind) {
+/// A person puts another object where the held one was to go.
+fn block_the_place(pair: &mut Pair, stage: &Stage) {
+    let shown = answer(pair, Order::Recover(WayBack::Show)).message;
+    let (_, rest) = shown.split_once("and puts ").expect("what `place` does");
+    let (held, rest) = rest.split_once(" down where it was to go (x ").expect("its place");
+    let mm: Vec<f64> = rest.split([' ', ',']).filter_map(|word| word.parse().ok()).take(2).collect();
+    let other = true_poses(pair, &stage.model).into_iter().find(|(id, _)| id != held).expect("another").0;
+    let [x, y] = [mm[0] / 1e3, mm[1] / 1e3];
+    fault(
+        pair,
+        &format!(r#"{{"do": "world.place", "args": {{"object": "{other}", "pose": [{x}, {y}, 0]}}}}"#),
+    );
+}
+
+fn placed_after_a_protective_stop(seed: u64, eye: SightKind, blocked: bool) -> bool {
     let (mut pair, stage) = carrying(seed, eye);
     fault(&mut pair, PROTECTIVE_STOP);
     pair.run_until(1.0, |_| false);
     assert!(holds(&pair) && !safe(&pair), "seed {seed}");
+    if blocked {
+        block_the_place(&mut pair, &stage);
+    }
     let reply = answer(&mut pair, Order::Recover(WayBack::Place));
     assert!(reply.accepted, "seed {seed}: {reply:?}");
     let over = pair.run_until(90.0, |pair| at_rest_and_disarmed(pair) && safe(pair));
     let said: Vec<_> = pair.notices().iter().rev().take(4).map(|notice| &notice.text).collect();
     assert!(over && !holds(&pair), "seed {seed}: {said:?}");
-    check_place(&said, &reply.message, seed);
+    let elsewhere = check_place(&said, &reply.message, seed);
     check_table(&pair, &stage, seed);
     assert_eq!(pair.breaches(), [], "seed {seed}");
     // Work goes on.
@@ -111,18 +129,24 @@ fn placed_after_a_protective_stop(seed: u64, eye: SightKind) {
     assert!(pair.run_until(300.0, |pair| pair.reports().len() > ended), "seed {seed}");
     assert_eq!(pair.reports().last().expect("a report").code.as_str(), "done", "seed {seed}");
     assert_eq!(pair.breaches(), [], "seed {seed}");
+    elsewhere
 }
 
 #[test]
 fn what_is_held_in_a_protective_stop_is_put_down_and_work_goes_on() {
     for seed in 0..12 {
-        placed_after_a_protective_stop(seed, SightKind::Corners);
+        placed_after_a_protective_stop(seed, SightKind::Corners, false);
+    }
+    // Where the place is taken meanwhile, it is another, and said to be: of these two what is put there lies
+    // flat.
+    for seed in 12..14 {
+        assert!(placed_after_a_protective_stop(seed, SightKind::Corners, true), "seed {seed}");
     }
 }
 
 #[test]
 fn what_is_held_is_put_down_by_pictures_too() {
-    placed_after_a_protective_stop(3, SightKind::Pictures);
+    placed_after_a_protective_stop(3, SightKind::Pictures, false);
 }
 
 fn placed_after_a_restart(seed: u64, eye: SightKind) {

@@ -161,10 +161,10 @@ pub async fn send(
     files: Vec<FileToSend>,
 ) -> Result<Vec<String>, String> {
     let store = bucket(context, fleet, replicas).await?;
+    fits(context, fleet, &store, &files).await?;
     let mut sent = Vec::new();
     for FileToSend { name, content } in files {
         let object = object_name(cell, job, &name);
-        fits(context, fleet, &store, &content).await.map_err(|fault| format!("{name}: {fault}"))?;
         let put = match put(&store, &object, &content).await {
             Err(fault) if is_full(&fault) && make_room(&store).await => put(&store, &object, &content).await,
             put => put,
@@ -175,33 +175,46 @@ pub async fn send(
     Ok(sent)
 }
 
-/// Makes room for a file. What does not fit is not begun: the parts that had come would stay in the bucket,
-/// and no name would lead to them.
+/// Makes room for files that are requested together. What does not fit is not begun: the parts that had come
+/// would stay in the bucket, and no name would lead to them.
 async fn fits(
     context: &Context,
     fleet: &Fleet,
     store: &ObjectStore,
-    content: &Content,
+    files: &[FileToSend],
 ) -> Result<(), String> {
-    let size = match content {
-        Content::Bytes(bytes) => bytes.len() as u64,
-        Content::File(path) => std::fs::metadata(path).map_err(|error| error.to_string())?.len(),
-    };
-    // Each part has a heading of its own.
-    let needed = size + size / 64 + OVERHEAD;
+    let mut needed = 0;
+    for FileToSend { name, content } in files {
+        let size = match content {
+            Content::Bytes(bytes) => bytes.len() as u64,
+            Content::File(path) => std::fs::metadata(path).map_err(|error| format!("{name}: {error}"))?.len(),
+        };
+        if size > FILE_BYTES_MAX {
+            return Err(format!(
+                "{name}: {size} bytes are more than the fleet carries; fetch it at the cell"
+            ));
+        }
+        // Each part has a heading of its own.
+        needed += size + size / 64 + OVERHEAD;
+    }
     loop {
         let stream = context.get_stream(format!("OBJ_{}", fleet.files_bucket())).await;
         let stream = stream.map_err(|error| refusal_sentence("files", &error.to_string()))?;
         let info = stream.cached_info();
         let room = u64::try_from(info.config.max_bytes).unwrap_or(u64::MAX);
         if needed > room {
-            let most = room / 1_000_000;
+            let [all, most] = [needed, room].map(|bytes| bytes.div_ceil(1_000_000));
             return Err(format!(
-                "{size} bytes, and the server keeps {most} MB of files at most; fetch it at the cell"
+                "{all} MB, and the server keeps {most} MB of files at most; request fewer at once, or fetch it \
+                 at the cell"
             ));
         }
-        if info.state.bytes + needed <= room || !make_room(store).await {
+        if info.state.bytes + needed <= room {
             return Ok(());
+        }
+        if !make_room(store).await {
+            let why = "parts of files that broke off fill the server's room; they leave after a week";
+            return Err(format!("{why}, or with `nats object del`"));
         }
     }
 }

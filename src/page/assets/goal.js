@@ -41,14 +41,27 @@ export function whatSubmitStarts() {
   return t("The cell is armed: the arm moves as soon as a job is submitted, to look at the table; “Look at the table” is such a job.");
 }
 
-/** The same of a job that is just submitted, whose plan is approved so. */
-export function whatBegins(approval) {
-  const { status } = state;
-  const then = approval && approval !== "never" ? ` ${t("Its plan then waits for approval, under Now.")}` : "";
-  if (!status?.armed) return t("It begins once the cell is armed.") + then;
-  if (status.job) return t("It begins behind {job}.", { job: status.job }) + then;
-  if (status.paused) return t("It begins after Resume.") + then;
-  return t("THE ARM MOVES NOW, to look at the table.") + then;
+/** What a job that was just submitted does, as long as that is shown: kept of now. */
+export function begins(id) {
+  const element = h("strong");
+  let active = false;
+  const words = () => {
+    const { status } = state;
+    const wayBack = status.message.startsWith("on a way back");
+    if (active && status.job !== id) return t("It is over.");
+    active ||= status.job === id;
+    if (status.awaiting_approval.includes(id)) return t("Its plan waits for approval, under Now.");
+    if (!status.armed || wayBack) return status.paused ? t("It begins once the cell is armed, after Resume.") : t("It begins once the cell is armed.");
+    if (!active && status.job) return t("It begins behind {job}.", { job: status.job });
+    if (status.paused && !status.moving) return t("It begins after Resume.");
+    return t("THE ARM MOVES NOW.");
+  };
+  const update = () => {
+    if (state.status && element.textContent !== words()) element.textContent = words();
+  };
+  update();
+  const stop = on("status", () => (element.isConnected ? update() : stop()));
+  return element;
 }
 
 export function goalPage(main) {
@@ -58,6 +71,8 @@ export function goalPage(main) {
   const result = h("div", { role: "status", "aria-live": "polite", id: "preview" });
   const starting = h("p", { class: "note", id: "starts" });
   let drawing = null;
+  // One job a click, however long the cell takes to read it.
+  let handing = false;
   let asking = 0;
 
   const wrong = (id) => draft.troubles.some((trouble) => trouble.objects.includes(id));
@@ -293,27 +308,30 @@ export function goalPage(main) {
   };
 
   const submit = async () => {
-    if (nothingYet()) return;
-    const starts = whatBegins(document.getElementById("approval")?.value || state.cell.approval);
+    if (nothingYet() || handing) return;
+    handing = true;
     try {
       const { id, state: word, message } = await handIn("jobs", { text: jobText(), name: "page" });
       // From now on the plan is the job's own.
       draft.plan = null;
       draw();
-      fill(result, h("p", { class: "note", id: "submitted" }, t("Submitted: job {job}, {state}.", { job: id, state: t(word) }), message ? ` ${here(message)}` : "", " ", h("strong", {}, starts), " ", h("a", { href: "#live" }, t("To the cell"))));
+      fill(result, h("p", { class: "note", id: "submitted" }, t("Submitted: job {job}, {state}.", { job: id, state: t(word) }), message ? ` ${here(message)}` : "", " ", begins(id), " ", h("a", { href: "#live" }, t("To the cell"))));
     } catch (error) {
       fill(result, h("p", { class: "note wrong" }, here(plain(error.message))));
     }
+    handing = false;
   };
 
   const lookAround = async () => {
-    const starts = whatBegins(null);
+    if (handing) return;
+    handing = true;
     try {
       const { id } = await handIn("jobs", { text: JSON.stringify({ version: 1, goal: { look: true }, rerun: true }), name: "look" });
-      fill(result, h("p", { class: "note", id: "looking" }, t("Job {job} looks at the table.", { job: id }), " ", h("strong", {}, starts), " ", h("a", { href: "#live" }, t("To the cell"))));
+      fill(result, h("p", { class: "note", id: "looking" }, t("Job {job} looks at the table.", { job: id }), " ", begins(id), " ", h("a", { href: "#live" }, t("To the cell"))));
     } catch (error) {
       fill(result, h("p", { class: "note wrong" }, here(plain(error.message))));
     }
+    handing = false;
   };
 
   const files = h("select", { id: "goal-files", "aria-label": t("goal files") });
@@ -372,6 +390,6 @@ export function goalPage(main) {
   warn();
   listFiles();
   if (!draft.poses.size && state.sight) take(); else { draw(); check(null); }
-  const stops = [on("sight", () => { document.getElementById("looking")?.remove(); draft.poses.size ? draw() : take(); }), on("carried", () => draw()), on("status", warn)];
+  const stops = [on("sight", () => (draft.poses.size ? draw() : take())), on("carried", () => draw()), on("status", warn)];
   return () => stops.forEach((stop) => stop());
 }

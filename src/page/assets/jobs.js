@@ -2,7 +2,7 @@
 
 import { h, card, fill } from "./dom.js";
 import { api, handIn, may, on, state } from "./net.js";
-import { whatBegins, whatSubmitStarts } from "./goal.js";
+import { begins, whatSubmitStarts } from "./goal.js";
 import { here, t, moment, duration, number } from "./text.js";
 
 /** Report and played-back run in the light of this page. */
@@ -21,17 +21,17 @@ function row(job, open) {
     `said`, where the answer goes, stays when this job is drawn anew. */
 function onceMore(job, { said, starting }) {
   const submit = async () => {
-    const starts = whatBegins(job.approval ?? state.cell.approval);
-    // One job a click, however long the cell takes to read it.
-    button.disabled = true;
+    // One job a click, however long the cell takes to read it and whatever is drawn anew meanwhile.
+    if (said.dataset.busy) return;
+    said.dataset.busy = "yes";
     fill(said, h("p", { class: "note" }, t("submitting …")));
     try {
       const { id, state: became, message } = await handIn(`jobs/${encodeURIComponent(job.id)}/again`);
-      fill(said, h("p", { class: "note", id: "submitted" }, t("Submitted: job {job}, {state}.", { job: id, state: t(became) }), message ? ` ${here(message)}` : "", " ", h("strong", {}, starts), " ", h("a", { href: "#live" }, t("To the cell"))));
+      fill(said, h("p", { class: "note", id: "submitted" }, t("Submitted: job {job}, {state}.", { job: id, state: t(became) }), message ? ` ${here(message)}` : "", " ", begins(id), " ", h("a", { href: "#live" }, t("To the cell"))));
     } catch (error) {
       fill(said, h("p", { class: "note wrong" }, here(error.message)));
     }
-    button.disabled = false;
+    delete said.dataset.busy;
   };
   const button = h("button", { type: "button", id: "again", disabled: !may("operate"), click: submit }, t("Submit again"));
   return [button, starting];

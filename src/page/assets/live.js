@@ -51,9 +51,9 @@ function now() {
     status.shared && h("p", { class: "soft", id: "shared" }, t("Configuration shared with other cells"), ": ", status.shared),
     status.because && h("p", { class: "soft" }, here(status.because)),
     // Nothing is to be done: where to begin.
-    !status.job && !status.stopped && !status.holding && h("p", { class: "soft", id: "begin" }, t("To begin:"), " ", h("a", { href: "#goal" }, t("Set a goal")), ". ", !state.sight && t("Arming switches the arm on and releases its brakes. Then the arm moves to look at the table; nothing is picked before there is a plan.")),
+    !status.job && !status.stopped && !status.holding && h("p", { class: "soft", id: "begin" }, t("To begin:"), " ", h("a", { href: "#goal" }, t("Set a goal")), ". ", !state.sight && t("Arming switches the arm on and releases its brakes. With a job the arm then moves to look at the table; nothing is picked before there is a plan.")),
     // On a way back it is being left.
-    status.stopped && !status.armed && h("p", { class: "note wrong", id: "stopped" }, h("strong", {}, status.stopped.job && status.stopped.job !== status.job ? [t("Job {job}", { job: status.stopped.job }), ": "] : "", here(status.stopped.message)), h("br"), status.stopped.hint === status.hint ? "" : here(status.stopped.hint)),
+    status.stopped && !status.armed && h("p", { class: "note wrong", id: "stopped" }, h("strong", {}, status.stopped.job && status.stopped.job !== status.job ? [t("Job {job}", { job: status.stopped.job }), ": "] : "", here(status.stopped.message)), h("br"), status.hint.includes(status.stopped.hint) ? "" : here(status.stopped.hint)),
     status.job && h("div", {}, h("p", {}, h("strong", {}, t("Job {job}", { job: status.job })), all ? `: ${t("{made} of {all} moves", { made, all })}` : "", left === null ? "" : made < all ? `, ${t("about {time} left, then a last look", { time: duration(left) })}` : `, ${t("a last look at the table")}`),
       all ? h("progress", { value: made, max: all, "aria-label": t("Progress of the job") }) : null),
     refusedFile(status),

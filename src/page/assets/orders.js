@@ -157,6 +157,9 @@ function approval(status) {
     h("button", { type: "button", id: "order-reject", disabled, click: () => give(t("Reject"), { do: "reject", id: waiting }) }, t("Reject"))));
 }
 
+/** It cannot be armed because it finishes what is under way: the status says so. */
+const finishes = (status) => (status.arm_refused ?? "").startsWith("not armed: the pick-n-place under way");
+
 /** How the cell's own words for a way back begin. */
 const WAY_BACK = "on a way back";
 
@@ -180,7 +183,7 @@ export function orders() {
   const draw = () => {
     const status = state.status;
     if (!status) return;
-    const key = JSON.stringify([status.armed, status.paused, status.job, status.state, status.stopped, status.awaiting_approval, status.plan?.unix_s, status.holding, leaves(status), Boolean(status.arm_refused), status.message.startsWith(WAY_BACK), status.moving && (!status.armed || status.paused), state.stale, state.control, state.me]);
+    const key = JSON.stringify([status.armed, status.paused, status.job, status.state, status.stopped, status.awaiting_approval, status.plan?.unix_s, status.holding, leaves(status), Boolean(status.arm_refused), finishes(status), status.message.startsWith(WAY_BACK), status.moving && (!status.armed || status.paused), state.stale, state.control, state.me]);
     // A button that is held down is not replaced.
     if (key === drawn || body.querySelector(".holding")) return allow(body, status);
     drawn = key;
@@ -204,7 +207,7 @@ export function orders() {
       leaves(status) && ways(),
       approval(status),
       // Beside a move that is finished the cell says what is under way, and nobody has pressed anything.
-      !status.armed && status.arm_refused && !(status.moving && !onAWayBack && !status.stopped) && h("p", { class: "soft", id: "arm-refused" }, h("strong", {}, t("It cannot be armed now:"), " "), h("span")),
+      !status.armed && status.arm_refused && !finishes(status) && h("p", { class: "soft", id: "arm-refused" }, h("strong", {}, t("It cannot be armed now:"), " "), h("span")),
       h("p", { class: "soft" }, holder ? (mine() ? t("You have control.") : t("{name} has control.", { name: holder.name })) : t("Nobody has control: the first order takes it."), " ",
         may("operate") && (mine()
           ? h("button", { type: "button", id: "control", click: () => control(false) }, t("Give back"))
@@ -220,15 +223,15 @@ export function orders() {
 /** What each order does, for who is about to press one for the first time. */
 function explained() {
   const words = [
-    [t("Arm"), t("lets the arm move, for jobs and for orders; the table is looked at first")],
-    [t("Disarm"), t("finishes the pick-n-place under way; then nothing moves until the cell is armed again")],
-    [t("Pause"), t("finishes the pick-n-place under way, then waits for Resume")],
+    [t("Arm"), t("switches the arm on, releases its brakes and lets it move: a job that waits begins at once, with a look at the table")],
+    [t("Disarm"), t("finishes the pick-n-place under way; then nothing moves until the cell is armed, or a way back is ordered")],
+    [t("Pause"), t("finishes the pick-n-place under way, then jobs wait for Resume; Park and the ways back still MOVE THE ARM")],
     [t("One step"), t("one pick-n-place, then a pause")],
     [t("Abort"), t("stops the arm now and disarms: the job ends, what is held stays held")],
     [t("Stop"), t("Abort and Disarm in one, on every screen; it is not the emergency stop")],
     [t("Park"), t("MOVES THE ARM to its park pose")],
-    [t("Cancel the job"), t("ends the job after the pick-n-place or look under way; the cell stays armed")],
-    [t("Reject"), t("ends the job whose plan waits: nothing of it is carried out")],
+    [t("Cancel the job"), t("ends the job after the pick-n-place or look under way; the cell stays armed, and a job that waits begins: THE ARM MOVES")],
+    [t("Reject"), t("ends the job whose plan waits; in an armed cell a job that waits behind it begins: THE ARM MOVES")],
     [t("Release the vacuum"), t("stops and disarms, and lets go of what hangs: hold it by hand")],
   ];
   return h("details", { id: "explained" }, h("summary", {}, t("What the orders do")), h("dl", {}, words.map(([name, what]) => [h("dt", {}, name), h("dd", {}, what)])));

@@ -54,7 +54,8 @@ export function know(ids) {
 /** One phrase of the cell: in the table numbers are `#`, objects `OBJECT` and jobs `JOB`, in the same order. */
 function phrase(text) {
   const [, lead, rest] = text.match(/^(\s*)([^]*)$/);
-  return lead + (filled(rest, false) ?? filled(rest, true) ?? rest);
+  const found = filled(rest, false) ?? filled(rest, true);
+  return lead + (found ?? rest.replaceAll("` or `", `\` ${t("or")} \``));
 }
 
 /** The phrase of the table with what the text has in its holes. A job is known by the word before its name. */
@@ -68,7 +69,7 @@ function filled(text, jobs) {
     found[hole].push(part);
     return hole;
   });
-  return phrases.get(key)?.replace(/#|OBJECT|JOB/g, (hole) => local(found[hole].shift() ?? hole));
+  return phrases.get(key)?.replace(/#|OBJECT|JOB/g, (hole) => (hole === "#" ? local(found[hole].shift() ?? hole) : found[hole].shift() ?? hole));
 }
 
 /** A number with the decimal mark of the language; names and addresses as they are. */
@@ -77,8 +78,7 @@ const local = (text) => (/^-?\d+\.\d+$/.test(text) ? text.replace(".", (1.5).toL
 /** A sentence of the cell in the chosen language. */
 function said(text) {
   if (shown === "en") return text;
-  text = text.replaceAll("` or `", `\` ${t("or")} \``);
-  return text.split(/(; |: |, then |\n|(?:celld recover )?--\w+ +)/).map((part, index) => (index % 2 ? table[part] ?? part : phrase(part))).join("");
+  return text.split(/(; |: |, then |\n|(?:celld recover )?(?<![\w-])--(?:place|hold|retreat|release) +)/).map((part, index) => (index % 2 ? table[part] ?? part : phrase(part))).join("");
 }
 
 /** A button's name in the quotation marks of the language. */
@@ -87,7 +87,7 @@ const quoted = (name) => t("“{name}”", { name: t(name) });
 /** A sentence of the cell, with the names of this page's buttons in the place of the commands that do the same. */
 export function here(text) {
   return said(text ?? "")
-    .replace(/`?(?:celld recover )?--(place|hold|retreat|release)\b`?/g, (_, way) => quoted(WAYS[way]))
+    .replace(/`?(?:celld recover )?(?<![\w-])--(place|hold|retreat|release)\b`?/g, (_, way) => quoted(WAYS[way]))
     .replace(/`celld ([a-z]+)[^`]*`/g, (whole, word) => (BUTTONS[word] ? quoted(BUTTONS[word]) : whole));
 }
 

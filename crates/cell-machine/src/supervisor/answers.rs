@@ -55,7 +55,7 @@ impl Supervisor {
     /// Nothing of the plan is left but the look that ends the job.
     fn only_looks(&self, job: &JobRun) -> bool {
         let all_made = job.moves > 0 && job.route.as_ref().is_some_and(Vec::is_empty);
-        all_made && !job.cancel && matches!(self.phase, Phase::Ready)
+        all_made && !job.cancel && matches!(self.phase, Phase::Ready | Phase::Look(_))
     }
 
     /// That the cell is armed, and what the arm does next.
@@ -103,7 +103,7 @@ impl Supervisor {
     }
 
     /// What the arm does once the table was looked at.
-    fn after_the_look(&self) -> &'static str {
+    pub(crate) fn after_the_look(&self) -> &'static str {
         let Some(job) =
             self.job.as_ref().filter(|job| job.order.rule.is_some() || !job.order.goals.is_empty())
         else {
@@ -154,7 +154,7 @@ impl Supervisor {
             (Phase::Ready, Some(closed)) => format!("approved; nothing moves yet: {}", self.place(closed)),
             _ if self.mode.paused() => "approved; a pause is in force, `celld resume` ends it".to_string(),
             _ if self.mode.pauses_after_this_move() => {
-                "approved: the arm makes one pick-n-place now, then a pause follows".to_string()
+                "approved: the arm makes one pick-n-place now; then a pause".to_string()
             }
             (Phase::Look(_), _) => {
                 "approved: the arm looks at the table now, then carries the plan out".to_string()

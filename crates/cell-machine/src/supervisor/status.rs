@@ -3,7 +3,7 @@
 //! In: the supervisor's state. Out: [`Status`], in values that programs compare and in words for people.
 
 use crate::code::Code;
-use crate::orders::{Approval, WayBack};
+use crate::orders::WayBack;
 use crate::supervisor::back::LastStop;
 use crate::supervisor::cell::Supervisor;
 use crate::supervisor::gates::GateClosed;
@@ -373,13 +373,9 @@ impl Supervisor {
     fn next_after(&self, stop: &LastStop) -> String {
         let other = |job: &&JobRun| !stop.keeps_job && stop.job.as_ref() != Some(&job.order.id);
         let Some(job) = self.job.as_ref().filter(other) else { return String::new() };
-        let then = match (self.mode.paused(), job.order.approval, self.plan_is_agreed_to()) {
-            (true, ..) => "a pause is in force, `celld resume` ends it",
-            (false, _, true) => "after a look the arm carries out what was approved",
-            (false, Approval::Never, false) => "after a look the arm carries out what is planned",
-            (false, Approval::Job | Approval::Always, false) => {
-                "the arm looks, and the plan waits for approval"
-            }
+        let then = match self.mode.paused() {
+            true => "a pause is in force, `celld resume` ends it".to_string(),
+            false => format!("the arm moves to look at the table{}", self.after_the_look()),
         };
         format!("; `celld arm` begins job {}: {then}", job.order.id)
     }

@@ -232,8 +232,10 @@ impl Supervisor {
                 out.push(Action::Gripper(GripperCommand::Release { channels }));
             }
             WorkStage::Retreating => return self.left_the_place(now, out),
+            // One step is one try.
             WorkStage::Withdrawing => {
                 self.phase = Phase::Ready;
+                self.mode.step_over();
                 return;
             }
             WorkStage::NotingIntent(_) | WorkStage::Gripping | WorkStage::Releasing | WorkStage::GivingUp => {

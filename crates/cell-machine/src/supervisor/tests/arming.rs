@@ -114,8 +114,17 @@ fn what_an_arming_lacks_comes_before_it_in_the_hint() {
 #[test]
 fn after_a_stop_the_hint_says_what_an_arming_begins() {
     for (agreed, pause, words) in [
-        (false, false, "`celld arm` begins job j: the arm looks, and the plan waits for approval"),
-        (true, false, "`celld arm` begins job j: after a look the arm carries out what was approved"),
+        (
+            false,
+            false,
+            "`celld arm` begins job j: the arm moves to look at the table; the plan then waits for approval",
+        ),
+        (
+            true,
+            false,
+            "`celld arm` begins job j: the arm moves to look at the table, then it carries out what is planned: \
+             the job is approved",
+        ),
         (true, true, "`celld arm` begins job j: a pause is in force, `celld resume` ends it"),
     ] {
         let mut bench = Bench::new();
