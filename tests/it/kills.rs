@@ -2,11 +2,12 @@
 //! syncs, renames and removals in the state folder, and at any time. Nothing is lost, nothing is done twice,
 //! nothing moves by itself.
 //!
-//! In: `CELLD_KILLS=N` makes N kills of either kind instead of a few, spread over a job's calls and time,
-//! and `CELLD_KILLS_CELLS=M` has M simulated cells at addresses of their own share them: they mostly wait. A
-//! library put before libc's counts the calls on files of the state folder and kills the process after one
-//! of them. Out: for each kill, that the next daemon has the job in one place, is disarmed, offers a way
-//! back where something is held, and that the job can be brought to its end.
+//! In: `CELLD_KILLS=N` makes N kills of either kind instead of a few, spread over a job's time and calls (at
+//! most one after each call), and `CELLD_KILLS_CELLS=M` has M simulated cells at addresses of their own
+//! share them: they mostly wait. A library put before libc's counts the calls on files of the state folder
+//! and kills the process after one of them. Out: for each kill, that the next daemon has the job in one
+//! place, is disarmed, offers a way back where something is held, and that the job can be brought to its
+//! end.
 
 use crate::cell::{
     LOG, Running, celld, configuration, copy_calibration, result_of, start_daemon, start_daemon_with,
@@ -249,10 +250,10 @@ fn cell_daemon_killed_anywhere_in_a_job_loses_and_repeats_nothing() {
     let first = cell.folder.path().join("kill-0");
     let (calls, time) = undisturbed.unwrap_or_else(|| panic!("not killed, and gone: {}", said(&first)));
     assert!(calls > 30, "{calls} calls on the state folder");
-    let shares = (0..kills).map(|k| f64::from(2 * k + 1) / f64::from(2 * kills));
-    let both =
-        |share: f64| [When::Call((share * f64::from(calls)) as u32 + 1), When::After(time.mul_f64(share))];
-    let due: Vec<(usize, When)> = (1..).zip(shares.flat_map(both)).collect();
+    let shares = |count: u32| (0..count).map(move |k| f64::from(2 * k + 1) / f64::from(2 * count));
+    let at_calls = shares(kills.min(calls)).map(|share| When::Call((share * f64::from(calls)) as u32 + 1));
+    let at_times = shares(kills).map(|share| When::After(time.mul_f64(share)));
+    let due: Vec<(usize, When)> = (1..).zip(at_calls.chain(at_times)).collect();
     let (next, killed) = (AtomicUsize::new(0), AtomicUsize::new(0));
     let work = |cell: &Cell| {
         for to_x in PLACES.into_iter().cycle().skip(1) {
