@@ -5,17 +5,14 @@
 //! cell of the fleet looks after all jobs ([`crate::steward`]). Nothing here arms, resumes, recovers or
 //! releases: there is no effect for it. Pure, so that seeded schedules can try it.
 
-use crate::hands::{Hand, Step};
-use crate::payloads::{Job, PayloadFault, What, sentence, sha256};
+use crate::hands::{Hand, OTHER_VERSION, Step};
+use crate::payloads::{CellState, Job, PayloadFault, What, sentence, sha256};
 use crate::steward::Steward;
 use crate::subjects::{Fleet, JobSubject};
 use crate::values::{At, Effect, Entry, Input, Kept, Settle, Token, Who};
 use crate::world::{KnownCell, Settings, World};
 use cell_values::time::{Duration, Timestamp};
 use std::collections::{BTreeMap, BTreeSet};
-
-/// A message of another version is offered again after so long: a cell of that version may take it.
-const OTHER_VERSION: Duration = Duration::from_secs(300);
 
 /// A message whose job is in hand under another epoch, or with other content.
 const OTHER_EPOCH: Duration = Duration::from_secs(30);
@@ -103,6 +100,7 @@ impl Agent {
                     None => self.world.members.remove(&name),
                 };
             }
+            Input::Cells(cells) => self.listed(cells),
             Input::Wish { key, wish } => {
                 match wish {
                     Some(wish) => self.world.wishes.insert(key, wish),
@@ -113,6 +111,17 @@ impl Agent {
             of_hand => self.for_hand(of_hand),
         }
         self.turn();
+    }
+
+    fn listed(&mut self, cells: Option<Vec<(String, CellState, f64)>>) {
+        let complete = cells.is_some();
+        if let Some(cells) = cells {
+            self.world.list(cells);
+        }
+        self.steward.listed(&mut self.world, complete);
+        for hand in self.hands.values_mut() {
+            hand.listed(&mut self.world, complete);
+        }
     }
 
     fn for_hand(&mut self, input: Input) {
@@ -139,8 +148,7 @@ impl Agent {
     fn connected(&mut self) {
         self.world.connected = true;
         self.pulling = false;
-        // What it followed ended with the connection.
-        self.steward = Steward::default();
+        self.steward.reconnected();
         self.steward_at = Timestamp::ZERO;
         for hand in self.hands.values_mut() {
             hand.reconnected(&mut self.world);

@@ -12,7 +12,7 @@ mod running;
 use crate::payloads::{Claim, ClaimState, Job, What};
 use crate::steward::given_on;
 use crate::subjects::{Key, Lane, Priority, Target};
-use crate::values::{Effect, Entry, Found, Kept, Settle, Token, Who, Written};
+use crate::values::{Effect, Entry, Found, Kept, Settle, Token, Unread, Who, Written};
 use crate::world::World;
 use cell_values::time::{Duration, Timestamp};
 
@@ -25,6 +25,10 @@ const LOOK_EVERY: Duration = Duration::from_millis(500);
 /// How often the claim of a job that was begun is read: a person may have given it away.
 const READ_EVERY: Duration = Duration::from_secs(30);
 
+/// A message, or a claim, of another version is offered again after so long: a cell of that version may take
+/// it.
+pub const OTHER_VERSION: Duration = Duration::from_secs(300);
+
 /// Where a job is on its way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
@@ -32,6 +36,8 @@ pub enum Step {
     Reading,
     /// The cell judges it.
     Judging,
+    /// This cell refuses it, and who else would is being read.
+    Refusing,
     /// The own database notes that it is wanted.
     Wanting,
     /// The claim is being written.
@@ -223,9 +229,14 @@ impl Hand {
 
     /// The claim was read: compares it with what the own database has.
     pub fn resume(&mut self, world: &mut World, found: Found) {
-        let Ok(found) = found else {
-            self.later(world, AGAIN);
-            return;
+        let found = match found {
+            Ok(found) => found,
+            // Nothing was begun: a cell of that version may make something of it.
+            Err(Unread::Foreign) if self.step == Step::Reading && self.entry.kept == Kept::Wanted => {
+                self.settle(world, Settle::Back(OTHER_VERSION));
+                return self.forget(world);
+            }
+            Err(Unread::Foreign | Unread::Unanswered) => return self.later(world, AGAIN),
         };
         let found = found.map(|(claim, revision)| (*claim, revision));
         if self.step == Step::Running {

@@ -1,8 +1,9 @@
 //! Many robot cells, one queue: jobs, claims and events of a fleet over NATS JetStream.
 //!
 //! `subjects`, `payloads` and `requests`: what goes over the wire; `asyncapi`: the same in a document.
-//! `agent`: what a cell decides, with `hands` (the jobs it has), `steward` (all jobs of the fleet), `world`
-//! (what they share) and `values` (inputs and effects); all of these are pure. `store`: the cell's
+//! `agent`: what a cell decides, with `hands` (the jobs it has), `steward` (all jobs of the fleet),
+//! `succession` (which cell is the steward), `world` (what they share) and `values` (inputs and effects);
+//! all of these are pure. `store`: the cell's
 //! database; `connect`, `server`, `link`, `pull`, `network`, `watches`: NATS; `side`: the cell as its part
 //! in the fleet sees it; `run`: that part from start to end; `client`: what a person at a terminal does;
 //! `changes`: all that changes, for who shows it; `files`, `fetch`: pictures, plans and recordings for who
@@ -29,6 +30,7 @@ pub mod side;
 pub mod steward;
 pub mod store;
 pub mod subjects;
+pub mod succession;
 pub mod values;
 pub mod watches;
 pub mod words;

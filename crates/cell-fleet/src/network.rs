@@ -5,10 +5,11 @@
 
 use crate::connect::ANSWER_WITHIN;
 use crate::fragments::{FRAGMENT_MAX, Fragment, Published};
+use crate::hands::OTHER_VERSION;
 use crate::payloads::{Answer, CellState, Claim, Event, Refusal, VERSION, What, decode, encode};
 use crate::server::Server;
 use crate::subjects::{Fleet, Key, Target};
-use crate::values::{Found, Input, Settle, Who, Written};
+use crate::values::{Found, Input, Settle, Unread, Who, Written};
 use crate::words::sha256;
 use async_nats::Subject;
 use async_nats::jetstream::kv::{CreateErrorKind, Entry, Operation, Store, UpdateErrorKind};
@@ -68,7 +69,7 @@ impl Network {
         let _ = self.news.send(news);
     }
 
-    fn spawn(&self, work: impl Future<Output = ()> + Send + 'static) {
+    pub(crate) fn spawn(&self, work: impl Future<Output = ()> + Send + 'static) {
         drop(tokio::spawn(work));
     }
 
@@ -105,7 +106,7 @@ impl Network {
                     this.report(News::Complaint("claims of another version", foreign));
                     found
                 }
-                Ok(Err(_)) | Err(_) => Err(()),
+                Ok(Err(_)) | Err(_) => Err(Unread::Unanswered),
             };
             this.report(News::Input(Input::Read { job, found }));
         });
@@ -266,7 +267,7 @@ pub fn unix_s(entry: &Entry) -> f64 {
 pub(crate) fn claim_of(entry: Option<Entry>) -> Found {
     match entry {
         Some(entry) if entry.operation == Operation::Put => {
-            let claim = decode::<Claim>(&entry.value).map_err(|_| ())?;
+            let claim = decode::<Claim>(&entry.value).map_err(|_| Unread::Foreign)?;
             Ok(Some((Box::new(claim), entry.revision)))
         }
         _ => Ok(None),
@@ -326,8 +327,9 @@ pub fn refusal_sentence(about: &str, text: &str) -> String {
 fn foreign_sentence(job: &str) -> String {
     format!(
         "the claim of job {job} is not of this version of celld ({VERSION}) or cannot be read, and is left as it \
-         is: this cell neither begins the job nor gives it back, and takes no other one meanwhile; run the same \
-         version in all cells, or take the job back (`celld fleet cancel`)"
+         is: this cell does not begin the job, and a message of it goes back into its queue for {} s, for a cell \
+         of that version; run the same version in all cells, or take the job back (`celld fleet cancel`)",
+        OTHER_VERSION.as_secs()
     )
 }
 

@@ -14,8 +14,8 @@ use crate::pull::pull;
 use crate::side::{CellEvent, CellSide, FragmentState, Settings};
 use crate::store::Store;
 use crate::subjects::RequestKind;
-use crate::values::{At, Effect, Entry, Input, Settle, Token, Written};
-use crate::watches::ALL_CLAIMS;
+use crate::values::{At, Effect, Entry, Input, Settle, Token};
+use crate::watches::Followed;
 use crate::world;
 use async_nats::{Message, Subject, Subscriber, jetstream};
 use cell_values::time::Timestamp;
@@ -85,7 +85,7 @@ pub async fn run(settings: Settings, mut cell: Box<dyn CellSide>, stop: Arc<Atom
         ahead_s: 0.0,
         network: None,
         tasks: Vec::new(),
-        following: None,
+        followed: Followed::default(),
         wanted: watch::channel(0).0,
         news_sender,
         found_sender,
@@ -116,7 +116,7 @@ struct Shell {
     ahead_s: f64,
     network: Option<Network>,
     tasks: Vec<JoinHandle<()>>,
-    following: Option<JoinHandle<()>>,
+    followed: Followed,
     /// Odd: a job is wanted.
     wanted: watch::Sender<u64>,
     news_sender: mpsc::UnboundedSender<News>,
@@ -231,7 +231,7 @@ impl Shell {
 
     fn over_network(&mut self, effect: Effect, answers: &mut Vec<Input>) {
         let Some(network) = &self.network else {
-            answers.extend(unanswered(effect));
+            answers.extend(effect.unanswered());
             return;
         };
         match effect {
@@ -248,14 +248,15 @@ impl Shell {
             Effect::Publish(claim) => network.publish(&claim),
             Effect::Refuse { job, refusal } => network.refuse(job, refusal, unix_now_s()),
             Effect::Remove(key) => network.remove(key),
+            // Whose watch was refused may not be followed any more: a new one complains anew.
             Effect::Follow(on) => {
-                let following = on.then(|| network.follow());
-                if let Some(before) = std::mem::replace(&mut self.following, following) {
-                    before.abort();
-                    // Whose watch was refused is not to be followed any more.
-                    self.complain(ALL_CLAIMS, None);
-                }
+                self.followed.all(network, on).into_iter().for_each(|over| self.complain(over, None));
             }
+            Effect::Watch(cell) => {
+                let over = self.followed.one(network, cell);
+                self.complain(over, None);
+            }
+            Effect::List => network.list(),
             _ => {}
         }
     }
@@ -355,7 +356,8 @@ impl Shell {
     }
 
     fn drop_tasks(&mut self) {
-        self.tasks.drain(..).chain(self.following.take()).for_each(|task| task.abort());
+        self.tasks.drain(..).for_each(|task| task.abort());
+        self.followed = Followed::default();
         self.messages.clear();
         self.requests = None;
     }
@@ -484,16 +486,4 @@ impl Shell {
 
 fn answer(accepted: bool, message: String) -> Answer {
     Answer { version: VERSION, accepted, message, files: Vec::new() }
-}
-
-/// What an effect that needs the network becomes without one.
-fn unanswered(effect: Effect) -> Option<Input> {
-    match effect {
-        Effect::Read(job) => Some(Input::Read { job, found: Err(()) }),
-        Effect::Write { who, claim, .. } => {
-            Some(Input::Written { who, job: claim.job.id, outcome: Written::Unknown })
-        }
-        Effect::Publish(claim) => Some(Input::Published { job: claim.job.id, stored: false }),
-        _ => None,
-    }
 }

@@ -8,6 +8,7 @@
 
 use crate::payloads::{Claim, ClaimState, Job, VERSION, Wish};
 use crate::subjects::{Key, Lane, Priority, Target};
+use crate::succession::Succession;
 use crate::values::{Effect, Who};
 use crate::world::World;
 use std::collections::{BTreeMap, BTreeSet};
@@ -26,7 +27,8 @@ struct Known {
 /// What the steward knows.
 #[derive(Default)]
 pub struct Steward {
-    /// This cell is it.
+    /// Whether this cell is it.
+    succession: Succession,
     on: bool,
     /// All claims that there were have come.
     complete: bool,
@@ -42,6 +44,18 @@ impl Steward {
         if self.claims.get(&job).is_none_or(|known| known.revision < revision) {
             self.claims.insert(job, Known { claim, revision, unix_s });
         }
+    }
+
+    /// The cells were listed, or could not be.
+    pub fn listed(&mut self, world: &mut World, complete: bool) {
+        self.succession.listed(world, complete);
+        self.turn(world);
+    }
+
+    /// The connection is another one: all that was followed ended with the one before.
+    pub fn reconnected(&mut self) {
+        *self = Steward { succession: std::mem::take(&mut self.succession), ..Steward::default() };
+        self.succession.reconnected();
     }
 
     /// All have come.
@@ -66,9 +80,9 @@ impl Steward {
 
     /// Looks at what is to be done.
     pub fn turn(&mut self, world: &mut World) {
-        let on = world.is_steward();
+        let on = self.succession.turn(world);
         if on != self.on {
-            *self = Steward { on, ..Steward::default() };
+            *self = Steward { on, succession: std::mem::take(&mut self.succession), ..Steward::default() };
             world.want(Effect::Follow(on));
         }
         if !self.complete {

@@ -98,8 +98,17 @@ pub enum Local {
     Ended(Outcome),
 }
 
-/// A claim with its revision; none where there is none, `Err` when it could not be read.
-pub type Found = Result<Option<(Box<Claim>, u64)>, ()>;
+/// Why a claim is not known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unread {
+    /// No answer, or one without a claim.
+    Unanswered,
+    /// It is of another version of celld, or none.
+    Foreign,
+}
+
+/// A claim with its revision; none where there is none.
+pub type Found = Result<Option<(Box<Claim>, u64)>, Unread>;
 
 /// Something that has happened.
 #[derive(Clone, Debug, PartialEq)]
@@ -125,7 +134,7 @@ pub enum Input {
         /// What is in it.
         payload: Vec<u8>,
     },
-    /// What the claim of a job is, with its revision; `Err` when it could not be read.
+    /// What the claim of a job is, with its revision.
     Read {
         /// The job.
         job: String,
@@ -185,6 +194,9 @@ pub enum Input {
         /// s since 1970.
         unix_s: f64,
     },
+    /// The states of all cells, each with its name and when it was written; `None` when they could not be
+    /// read.
+    Cells(Option<Vec<(String, CellState, f64)>>),
     /// What a person wants, or does not any more.
     Wish {
         /// Where it is written.
@@ -258,8 +270,12 @@ pub enum Effect {
     },
     /// Remove a key that was dealt with.
     Remove(Key),
-    /// Follow all claims from now on, or no longer.
+    /// Follow all claims and all cells from now on, or no longer.
     Follow(bool),
+    /// Follow the state of this one cell, and no other one's.
+    Watch(Option<String>),
+    /// Read the states of all cells.
+    List,
     /// Something that the fleet should see.
     Report {
         /// The job it is about.
@@ -267,4 +283,19 @@ pub enum Effect {
         /// What happened.
         what: What,
     },
+}
+
+impl Effect {
+    /// The answer that an effect which needs the network gets without one.
+    pub fn unanswered(self) -> Option<Input> {
+        match self {
+            Effect::Read(job) => Some(Input::Read { job, found: Err(Unread::Unanswered) }),
+            Effect::Write { who, claim, .. } => {
+                Some(Input::Written { who, job: claim.job.id, outcome: Written::Unknown })
+            }
+            Effect::Publish(claim) => Some(Input::Published { job: claim.job.id, stored: false }),
+            Effect::List => Some(Input::Cells(None)),
+            _ => None,
+        }
+    }
 }

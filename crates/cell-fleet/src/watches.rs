@@ -1,10 +1,10 @@
-//! What a cell follows on the server: wishes of persons, refusals, the other cells, shared configuration,
-//! and as steward all claims.
+//! What a cell follows on the server: wishes of persons, refusals, its own state, shared configuration, the
+//! one cell whose absence matters to it, and as steward all claims and all cells.
 //!
 //! In: buckets. Out: what changes in them, as [`News`]. A watch that cannot begin, or that ends, is begun
 //! again; meanwhile a sentence says what is not seen.
 
-use crate::network::{Network, News, SILENT, claim_of, published, unix_s};
+use crate::network::{Network, News, SILENT, claim_of, entries, published, unix_s};
 use crate::payloads::{CellState, Refusal, Wish, decode};
 use crate::subjects::Key;
 use crate::values::Input;
@@ -21,23 +21,84 @@ const AGAIN: Duration = Duration::from_secs(5);
 /// A watch that has not begun by then has no answer.
 const BEGINS_WITHIN: Duration = Duration::from_secs(15);
 
-/// What a steward follows, in complaints.
-pub const ALL_CLAIMS: &str = "the claims of all cells";
+/// What is followed, in complaints.
+const ALL_CLAIMS: &str = "the claims of all cells";
+const ALL_CELLS: &str = "the other cells";
+const ONE_CELL: &str = "the cell that looks after all jobs";
+
+/// What a cell follows for a while; it ends with this.
+#[derive(Default)]
+pub struct Followed {
+    all: Vec<JoinHandle<()>>,
+    one: Option<JoinHandle<()>>,
+}
+
+impl Followed {
+    /// All claims and all cells from now on, or no longer. The names of the complaints that are over.
+    pub fn all(&mut self, network: &Network, on: bool) -> [&'static str; 2] {
+        let following = if on { network.follow().into() } else { Vec::new() };
+        std::mem::replace(&mut self.all, following).iter().for_each(JoinHandle::abort);
+        [ALL_CLAIMS, ALL_CELLS]
+    }
+
+    /// This one cell, and no other one. The name of the complaint that is over.
+    pub fn one(&mut self, network: &Network, cell: Option<String>) -> &'static str {
+        let following = cell.map(|cell| network.follow_one(cell));
+        if let Some(before) = std::mem::replace(&mut self.one, following) {
+            before.abort();
+        }
+        ONE_CELL
+    }
+}
+
+impl Drop for Followed {
+    fn drop(&mut self) {
+        self.all.iter().chain(&self.one).for_each(JoinHandle::abort);
+    }
+}
 
 impl Network {
-    /// Follows refusals, wishes and the cells from now on. A watch that cannot begin, or that ends, is begun
-    /// again; meanwhile a sentence says what is not seen.
+    /// Follows refusals, wishes, the own state and shared configuration from now on. A watch that cannot
+    /// begin, or that ends, is begun again; meanwhile a sentence says what is not seen.
     pub fn watch(&self) -> [JoinHandle<()>; 3] {
         [
             self.again(|network| async move { network.watch_keys().await }),
-            self.again(|network| async move { network.watch_cells().await }),
+            self.again(|network| async move {
+                let own = network.cell.clone();
+                network.watch_cells("the own state", &own).await;
+            }),
             self.again(|network| async move { network.watch_fragments().await }),
         ]
     }
 
-    /// Follows all claims from now on.
-    pub fn follow(&self) -> JoinHandle<()> {
-        self.again(|network| async move { network.watch_claims().await })
+    fn follow(&self) -> [JoinHandle<()>; 2] {
+        [
+            self.again(|network| async move { network.watch_claims().await }),
+            self.again(|network| async move { network.watch_cells(ALL_CELLS, ">").await }),
+        ]
+    }
+
+    fn follow_one(&self, cell: String) -> JoinHandle<()> {
+        self.again(move |network| {
+            let cell = cell.clone();
+            async move { network.watch_cells(ONE_CELL, &cell).await }
+        })
+    }
+
+    /// Reads the states of all cells.
+    pub fn list(&self) {
+        let this = self.clone();
+        self.spawn(async move {
+            let listed = timeout(BEGINS_WITHIN, entries(&this.server.cells, ">")).await;
+            let cells = listed.ok().and_then(Result::ok).map(|entries| {
+                let cell = |entry: Entry| {
+                    let (unix_s, state) = (unix_s(&entry), state_of(&entry));
+                    (entry.key, state, unix_s)
+                };
+                entries.into_iter().map(cell).collect()
+            });
+            this.report(News::Input(Input::Cells(cells)));
+        });
     }
 
     /// A watch that is begun again whenever it ends.
@@ -65,15 +126,15 @@ impl Network {
         self.ended("orders from afar");
     }
 
-    async fn watch_cells(&self) {
-        let watch = timeout(BEGINS_WITHIN, self.server.cells.watch_with_history(">")).await;
-        let Some(mut watch) = self.watched("the other cells", watch) else { return };
+    async fn watch_cells(&self, what: &'static str, pattern: &str) {
+        let watch = timeout(BEGINS_WITHIN, self.server.cells.watch_with_history(pattern)).await;
+        let Some(mut watch) = self.watched(what, watch) else { return };
         while let Some(entry) = watch.next().await {
             if let Ok(entry) = entry {
                 self.cell(entry);
             }
         }
-        self.ended("the other cells");
+        self.ended(what);
     }
 
     async fn watch_fragments(&self) {
@@ -136,8 +197,7 @@ impl Network {
     fn cell(&self, entry: Entry) {
         let unix_s = unix_s(&entry);
         let state = match entry.operation {
-            // A state of another version is of a cell all the same.
-            Operation::Put => Some(decode::<CellState>(&entry.value).unwrap_or_default()),
+            Operation::Put => Some(state_of(&entry)),
             Operation::Delete | Operation::Purge => None,
         };
         if let Some(state) = state.as_ref().filter(|_| entry.key == self.cell) {
@@ -157,6 +217,11 @@ impl Network {
         };
         self.pass_on(ALL_CLAIMS, watch, pass, News::Input(Input::ClaimsKnown)).await;
     }
+}
+
+/// A state of another version is of a cell all the same.
+fn state_of(entry: &Entry) -> CellState {
+    decode::<CellState>(&entry.value).unwrap_or_default()
 }
 
 /// What an entry under a watched key says.

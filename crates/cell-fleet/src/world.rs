@@ -57,7 +57,8 @@ pub struct World {
     pub connected: bool,
     /// Armed, and nothing to do.
     pub ready: bool,
-    /// The cells of the fleet, this one included once its state came back.
+    /// The cells of the fleet as they were last seen: all of them when they were listed or where all are
+    /// followed, else this one and the one that is followed.
     pub members: BTreeMap<String, KnownCell>,
     /// Refusals by job and cell: epoch and reason.
     pub refusals: BTreeMap<String, BTreeMap<String, (u32, String)>>,
@@ -132,11 +133,19 @@ impl World {
         self.members.get(cell).is_none_or(|member| self.at.unix_s - member.unix_s > limit)
     }
 
-    /// This cell looks after all jobs: of the cells that are not away it has the first name. Two that
-    /// believe this of themselves do no harm, since all they write is compared and set.
-    pub fn is_steward(&self) -> bool {
+    /// The first cell that has an earlier name than this one and is not away.
+    pub fn before_this(&self) -> Option<String> {
         let own = &self.settings.cell;
-        self.connected && !self.members.keys().any(|name| name < own && !self.is_away(name))
+        self.members.keys().find(|name| *name < own && !self.is_away(name)).cloned()
+    }
+
+    /// The states of all cells. What came of one of them meanwhile is newer.
+    pub fn list(&mut self, cells: Vec<(String, CellState, f64)>) {
+        let mut before = std::mem::take(&mut self.members);
+        for (name, state, unix_s) in cells {
+            let newer = before.remove(&name).filter(|known| known.unix_s > unix_s);
+            self.members.insert(name, newer.unwrap_or(KnownCell { state, unix_s }));
+        }
     }
 }
 
@@ -172,12 +181,12 @@ mod tests {
     }
 
     #[test]
-    fn the_first_cell_that_is_not_away_is_the_steward() {
-        assert!(!world(&[("a", &[], 999.0)]).is_steward());
-        assert!(world(&[("a", &[], 900.0), ("c", &[], 999.0)]).is_steward());
-        let mut alone = world(&[]);
-        assert!(alone.is_steward());
-        alone.connected = false;
-        assert!(!alone.is_steward());
+    fn a_list_replaces_what_was_known_but_for_what_is_newer() {
+        let mut world = world(&[("a", &["old"], 990.0), ("gone", &[], 990.0)]);
+        let listed = |name: &str, unix_s| (name.to_string(), CellState::default(), unix_s);
+        world.list(vec![listed("a", 980.0), listed("c", 970.0)]);
+        assert_eq!(world.members.keys().collect::<Vec<_>>(), ["a", "c"]);
+        assert_eq!(world.members["a"].state.labels, ["old"]);
+        assert_eq!(world.before_this().as_deref(), Some("a"));
     }
 }

@@ -6,9 +6,9 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests: an unwrap that fails is the test that fails")]
 
 use cell_fleet::agent::Agent;
-use cell_fleet::payloads::{Claim, ClaimState, Job, Outcome, VERSION, Wish, encode};
+use cell_fleet::payloads::{CellState, Claim, ClaimState, Job, Outcome, VERSION, Wish, encode};
 use cell_fleet::subjects::{Fleet, Key, Lane, Priority, Target};
-use cell_fleet::values::{At, Effect, Entry, Input, Kept, Local, Settle, Who, Written};
+use cell_fleet::values::{At, Effect, Entry, Input, Kept, Local, Settle, Unread, Who, Written};
 use cell_fleet::world::Settings;
 use cell_values::time::{Duration, Timestamp};
 
@@ -27,6 +27,7 @@ impl Bench {
     fn ready() -> Bench {
         let mut bench = Bench::new(Vec::new());
         bench.take(Input::Connected);
+        bench.take(Input::Cells(Some(Vec::new())));
         bench.take(Input::Ready(true));
         bench
     }
@@ -178,5 +179,48 @@ fn a_job_that_began_meanwhile_is_given_away_by_who_knows_it_alone() {
         effects.extend(bench.after(2));
         let gives = |effect: &Effect| matches!(effect, Effect::Write { claim, .. } if claim.job.epoch == 2);
         assert_eq!(effects.iter().any(gives), granted, "{state:?} {begun}: {effects:?}");
+    }
+}
+
+#[test]
+fn a_claim_of_another_version_leaves_its_job_to_others_and_the_cell_goes_on() {
+    let mut bench = Bench::ready();
+    assert!(reads(&bench.pulled(&job("b"), 1)));
+    let effects = bench.take(Input::Read { job: "tidy".into(), found: Err(Unread::Foreign) });
+    let back =
+        |effect: &Effect| matches!(effect, Effect::Settle(1, Settle::Back(wait)) if wait.as_secs() > 60);
+    assert!(effects.iter().any(back), "{effects:?}");
+    assert!(effects.contains(&Effect::Pull(true)), "the next one: {effects:?}");
+    // What was claimed here may be under way: it is neither begun nor forgotten.
+    let claimed = Entry { kept: Kept::Claimed, begun_here: false, ..begun_before() };
+    let mut bench = Bench::new(vec![claimed]);
+    bench.take(Input::Connected);
+    bench.take(Input::Ready(true));
+    let effects = bench.take(Input::Read { job: "tidy".into(), found: Err(Unread::Foreign) });
+    assert!(
+        !effects.iter().any(|effect| matches!(effect, Effect::Keep(_) | Effect::Pull(true))),
+        "{effects:?}"
+    );
+    assert_eq!(bench.agent.holds(), ["tidy"]);
+}
+
+#[test]
+fn a_refused_job_is_set_aside_only_by_who_knows_all_cells() {
+    let cells = |labels: &[&str]| {
+        let state = |label: &&str| CellState { labels: vec![label.to_string()], ..CellState::default() };
+        labels.iter().zip(1..).map(|(label, n)| (format!("c{n}"), state(label), 1e9)).collect::<Vec<_>>()
+    };
+    for (listed, aside) in [(Some(cells(&["a"])), true), (Some(cells(&["a", "b"])), false), (None, false)] {
+        let mut bench = Bench::ready();
+        bench.pulled(&job("b"), 1);
+        bench.read(None);
+        let refused = Err("no such object".to_string());
+        let effects = bench.take(Input::Judged { job: "tidy".into(), verdict: refused });
+        assert!(effects.contains(&Effect::List), "{effects:?}");
+        let effects = bench.take(Input::Cells(listed.clone()));
+        let written = |effect: &Effect| matches!(effect, Effect::Write { claim, .. } if claim.state == ClaimState::Aside);
+        let back = |effect: &Effect| matches!(effect, Effect::Settle(1, Settle::Back(_)));
+        assert_eq!(effects.iter().any(written), aside, "{listed:?}: {effects:?}");
+        assert_eq!(effects.iter().any(back), !aside, "{listed:?}: {effects:?}");
     }
 }

@@ -221,6 +221,9 @@ fn payloads_of_others_are_left_where_they_are_and_named() {
     raw(in_queue(), &encode(&job("later")).unwrap());
     until("the claim is named", || cell.complains_of("the claim of job later is not of this version"));
     assert!(!cell.disk.lock().unwrap().carried_out.contains_key("later"));
+    // The cell has not waited for it.
+    assert_eq!(runtime.block_on(client.submit(&job("after"), &any())), Ok(true));
+    ended(&runtime, &client, 2, std::slice::from_ref(&cell));
 }
 
 #[test]

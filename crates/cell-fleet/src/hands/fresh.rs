@@ -103,8 +103,19 @@ impl Hand {
         let (job, epoch) = (self.id().to_string(), self.entry.job.epoch);
         let refusal = (epoch, sentence(&reason));
         world.refused(&job, &world.settings.cell.clone(), Some(refusal.clone()));
-        world.want(Effect::Refuse { job: job.clone(), refusal: Some(refusal) });
-        if let Some(reasons) = world.all_refused(&job, epoch, &self.lane().target) {
+        world.want(Effect::Refuse { job, refusal: Some(refusal) });
+        // Another cell may have come that could do it.
+        self.go(world, Step::Refusing);
+        world.want(Effect::List);
+    }
+
+    /// The cells were listed, or could not be: set aside when all that serve the job have refused it.
+    pub fn listed(&mut self, world: &mut World, complete: bool) {
+        if self.step != Step::Refusing {
+            return;
+        }
+        let all = world.all_refused(self.id(), self.entry.job.epoch, &self.lane().target);
+        if let Some(reasons) = all.filter(|_| complete) {
             let claim = self.new_claim(world, ClaimState::Aside);
             let claim = Claim { reasons, cell: String::new(), ..claim };
             return self.write(world, claim, Step::Closing);

@@ -11,7 +11,7 @@ mod served;
 use cell_fleet::agent::Agent;
 use cell_fleet::payloads::{CellState, Claim, ClaimState, Outcome, VERSION, Wish};
 use cell_fleet::subjects::{Fleet, Key};
-use cell_fleet::values::{At, Effect, Entry, Input, Kept, Local, Settle, Who, Written};
+use cell_fleet::values::{At, Effect, Entry, Input, Kept, Local, Settle, Unread, Who, Written};
 use cell_fleet::world::Settings;
 use cell_values::time::Timestamp;
 use rand::{RngExt, SeedableRng};
@@ -31,6 +31,8 @@ enum Request {
     Refuse { job: String, refusal: Option<(u32, String)> },
     Remove(Key),
     Follow(bool),
+    Watch(Option<String>),
+    List,
     State(Box<CellState>),
 }
 
@@ -112,6 +114,7 @@ pub struct Cell {
     heard: u64,
     pulls: bool,
     follows: bool,
+    watches: Option<String>,
     /// When the process is called next.
     wakes: (u64, u64),
 }
@@ -184,6 +187,7 @@ impl World {
             heard: 0,
             pulls: false,
             follows: false,
+            watches: None,
             wakes: (0, 0),
         };
         let mut world = World {
@@ -334,12 +338,8 @@ impl World {
         }
         self.counter += 1;
         (here.connection, here.sent, here.heard) = (Some(self.counter), self.now, self.now);
-        (here.pulls, here.follows) = (false, false);
+        (here.pulls, here.follows, here.watches) = (false, false, None);
         self.receives(cell, Input::Connected);
-        for (name, (state, ms)) in self.states.clone() {
-            let unix_s = ms as f64 / 1e3;
-            self.receives(cell, Input::Cell { name, state: Some(Box::new(state)), unix_s });
-        }
         for (key, wish) in self.wishes.clone() {
             self.receives(cell, Input::Wish { key, wish: Some(wish) });
         }
@@ -354,6 +354,7 @@ impl World {
     fn disconnect(&mut self, cell: usize) {
         if self.cells[cell].connection.take().is_some() {
             (self.cells[cell].pulls, self.cells[cell].follows) = (false, false);
+            self.cells[cell].watches = None;
             if self.cells[cell].agent.is_some() {
                 self.take_in(cell, Input::Disconnected);
             }
@@ -457,6 +458,8 @@ impl World {
             Effect::Refuse { job, refusal } => self.send(cell, Request::Refuse { job, refusal }),
             Effect::Remove(key) => self.send(cell, Request::Remove(key)),
             Effect::Follow(on) => self.send(cell, Request::Follow(on)),
+            Effect::Watch(name) => self.send(cell, Request::Watch(name)),
+            Effect::List => self.send(cell, Request::List),
         }
     }
 
@@ -485,11 +488,12 @@ impl World {
 /// What an answer becomes whose connection ended before it came.
 fn lost(input: &Input) -> Option<Input> {
     match input {
-        Input::Read { job, .. } => Some(Input::Read { job: job.clone(), found: Err(()) }),
+        Input::Read { job, .. } => Some(Input::Read { job: job.clone(), found: Err(Unread::Unanswered) }),
         Input::Written { who, job, .. } => {
             Some(Input::Written { who: *who, job: job.clone(), outcome: Written::Unknown })
         }
         Input::Published { job, .. } => Some(Input::Published { job: job.clone(), stored: false }),
+        Input::Cells(_) => Some(Input::Cells(None)),
         _ => None,
     }
 }

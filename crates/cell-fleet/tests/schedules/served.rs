@@ -3,9 +3,9 @@
 //! In: requests as they arrive. Out: answers, and what goes to every cell that follows.
 
 use super::{ACK_WAIT_MS, Cell, Message, Request, SimEvent, TIMEOUT_MS, World};
-use cell_fleet::payloads::{Claim, ClaimState, Job, encode};
+use cell_fleet::payloads::{CellState, Claim, ClaimState, Job, encode};
 use cell_fleet::subjects::{Key, Lane, Priority, Target};
-use cell_fleet::values::{Input, Settle, Written};
+use cell_fleet::values::{Input, Settle, Unread, Written};
 use rand::RngExt;
 
 impl World {
@@ -85,14 +85,40 @@ impl World {
                     self.follow(cell);
                 }
             }
-            Request::State(state) => {
-                let name = self.cells[cell].name.clone();
-                self.states.insert(name.clone(), (*state.clone(), self.now));
-                let unix_s = self.now as f64 / 1e3;
-                self.broadcast(&Input::Cell { name, state: Some(state), unix_s });
+            Request::Watch(name) => self.watch(cell, name),
+            Request::List => {
+                let cell = |(name, (state, ms)): (&String, &(CellState, u64))| {
+                    (name.clone(), state.clone(), *ms as f64 / 1e3)
+                };
+                return Some(Input::Cells(Some(self.states.iter().map(cell).collect())));
             }
+            Request::State(state) => self.show(cell, *state),
         }
         None
+    }
+
+    fn watch(&mut self, cell: usize, name: Option<String>) {
+        self.cells[cell].watches.clone_from(&name);
+        if let Some((name, (state, ms))) = name.and_then(|name| self.states.get_key_value(&name)) {
+            let (name, state) = (name.clone(), Some(Box::new(state.clone())));
+            let unix_s = *ms as f64 / 1e3;
+            self.receives(cell, Input::Cell { name, state, unix_s });
+        }
+    }
+
+    /// The state of a cell goes to who follows it.
+    fn show(&mut self, cell: usize, state: CellState) {
+        let name = self.cells[cell].name.clone();
+        self.states.insert(name.clone(), (state.clone(), self.now));
+        let input =
+            Input::Cell { name: name.clone(), state: Some(Box::new(state)), unix_s: self.now as f64 / 1e3 };
+        for other in 0..self.cells.len() {
+            let here = &self.cells[other];
+            let sees = here.follows || here.name == name || here.watches.as_ref() == Some(&name);
+            if sees && here.connection.is_some() {
+                self.receives(other, input.clone());
+            }
+        }
     }
 
     fn settled(&mut self, sequence: u64, how: &Settle) {
@@ -117,6 +143,10 @@ impl World {
     }
 
     pub(super) fn follow(&mut self, cell: usize) {
+        for (name, (state, ms)) in self.states.clone() {
+            let unix_s = ms as f64 / 1e3;
+            self.receives(cell, Input::Cell { name, state: Some(Box::new(state)), unix_s });
+        }
         for (claim, revision, ms) in self.claims.values().cloned().collect::<Vec<_>>() {
             let unix_s = ms as f64 / 1e3;
             self.receives(cell, Input::Claim { claim: Box::new(claim), revision, unix_s });
@@ -218,11 +248,12 @@ impl World {
 /// What comes back for a request that got no answer; nothing where none is awaited.
 fn lost_answer(request: &Request) -> Option<Input> {
     match request {
-        Request::Read(job) => Some(Input::Read { job: job.clone(), found: Err(()) }),
+        Request::Read(job) => Some(Input::Read { job: job.clone(), found: Err(Unread::Unanswered) }),
         Request::Write { who, claim, .. } => {
             Some(Input::Written { who: *who, job: claim.job.id.clone(), outcome: Written::Unknown })
         }
         Request::Publish(claim) => Some(Input::Published { job: claim.job.id.clone(), stored: false }),
+        Request::List => Some(Input::Cells(None)),
         _ => None,
     }
 }
