@@ -183,16 +183,33 @@ def pause_and_disarm_on_the_way(page, window):
     page.click("#order-arm")
     window.text("#armed", "ARMED")
     # The rest of the plan was agreed to; where it has changed, it needs a new approval.
-    approval, holding = page.locator("#order-approve"), page.locator("#holding")
-    expect(approval.or_(holding)).to_be_visible()
-    if approval.is_visible():
-        approval.click()
+    waits, holding = page.locator("#waits"), page.locator("#holding")
+    expect(waits.or_(holding).first).to_be_visible()
+    if waits.is_visible():
+        page.wait_for_timeout(1000)
+        page.click("#order-approve")
+
+
+def a_plan_that_has_just_come_is_not_approved(window):
+    """A press meant what was there before: the plan cannot have been read."""
+    page = window.page
+    page.evaluate("""() => new Promise((done) => {
+        const look = () => {
+            const button = document.getElementById("order-approve");
+            if (!button || button.disabled) return requestAnimationFrame(look);
+            button.click();
+            done();
+        };
+        location.hash = "#live";
+        look();
+    })""")
+    window.text("#answer-click", "the plan had only just come")
+    window.text("#waits", "Job mine waits for approval")
 
 
 def carry_out(window):
     page = window.page
-    window.screen("live")
-    expect(page.locator("#order-approve")).to_be_visible()
+    a_plan_that_has_just_come_is_not_approved(window)
     page.locator("#scrub").fill("1")
     page.locator("#scrub").dispatch_event("input")
     window.text("output", "after move 1")
@@ -209,6 +226,8 @@ def carry_out(window):
     window.text("#answer", "paus")
     page.click("#order-approve")
     window.text("#answer", "approved")
+    expect(page.locator("#order-approve")).to_be_disabled()
+    expect(page.locator("#scrub")).to_have_value("0")
     page.click("#order-step")
     expect(page.locator("#message")).not_to_contain_text("approval")
     page.wait_for_selector("#order-resume", timeout=LONG)
@@ -272,7 +291,7 @@ def submit_again(window):
     window.screen("live")
     window.text("main", "Job second.2")
     page.click("#order-cancel")
-    expect(page.locator("#order-cancel")).to_have_count(0)
+    expect(page.locator("#order-cancel")).to_be_disabled()
     window.text("#last", "second.2")
 
 
@@ -288,7 +307,7 @@ def stop_with_an_object(window, cell):
     except Refused as refused:
         check("a wrong job is refused", refused.status == 422 and "change places" in str(refused), str(refused))
     window.screen("live")
-    page.wait_for_selector("#order-approve", timeout=LONG)
+    page.wait_for_selector("#waits", timeout=LONG)
     check("the client agrees to the plan", client.approve("second").accepted)
     pause_and_disarm_on_the_way(page, window)
     expect(page.locator("#holding")).to_be_visible()
@@ -306,6 +325,8 @@ def stop_with_an_object(window, cell):
     ways_are_those_that_the_cell_takes(page, client)
     page.click("#recover-place")
     window.text("#answer-click", "hold the button down")
+    expect(page.locator("#recover-place")).to_have_text("hold for a second")
+    expect(page.locator("#recover-place")).to_have_text("Put it down")
     check("what happened is still there to be read", "plank" in page.locator("#answer").inner_text())
     page.evaluate("() => { document.getElementById('recover-place').dataset.same = 'yes'; }")
     page.wait_for_timeout(2000)

@@ -2,7 +2,7 @@
 // once, and the job is submitted. Keys move too: arrows by a millimetre (with shift ten), q and e turn.
 
 import { h, s, card, fill } from "./dom.js";
-import { api, handIn, on, state, may } from "./net.js";
+import { api, handIn, on, state, may, onAWayBack } from "./net.js";
 import { here, t, duration, number } from "./text.js";
 import { view, ground, outline, foreign, labels, arrows, numbers, at, places, drawnAs } from "./table.js";
 
@@ -41,23 +41,29 @@ export function whatSubmitStarts() {
   return t("The cell is armed: the arm moves as soon as a job is submitted, to look at the table; “Look at the table” is such a job.");
 }
 
-/** What a job that was just submitted does, as long as that is shown: kept of now. */
-export function begins(id) {
+/** That a job was submitted, and what it does, as long as that is shown. */
+export function submitted({ id, state: word, message }) {
+  return h("p", { class: "note", id: "submitted" }, t("Submitted: job {job}, {state}.", { job: id, state: t(word) }), message ? ` ${here(message)}` : "", " ", begins(id), " ", h("a", { href: "#live" }, t("To the cell")));
+}
+
+/** What a job that was just submitted does: kept of now. */
+function begins(id) {
   const element = h("strong");
   let active = false;
   const words = () => {
     const { status } = state;
-    const wayBack = status.message.startsWith("on a way back");
     if (active && status.job !== id) return t("It is over.");
     active ||= status.job === id;
     if (status.awaiting_approval.includes(id)) return t("Its plan waits for approval, under Now.");
-    if (!status.armed || wayBack) return status.paused ? t("It begins once the cell is armed, after Resume.") : t("It begins once the cell is armed.");
+    if (!status.armed || onAWayBack(status)) return status.paused ? t("It begins once the cell is armed, after Resume.") : t("It begins once the cell is armed.");
     if (!active && status.job) return t("It begins behind {job}.", { job: status.job });
     if (status.paused && !status.moving) return t("It begins after Resume.");
-    return t("THE ARM MOVES NOW.");
+    // Between two motions it may wait for a plan or a gate; what follows begins without another word.
+    return status.moving ? t("THE ARM MOVES NOW.") : t("It begins: THE ARM MAY MOVE AT ANY MOMENT.");
   };
   const update = () => {
-    if (state.status && element.textContent !== words()) element.textContent = words();
+    const now = state.status ? words() : "";
+    if (element.textContent !== now) element.textContent = now;
   };
   update();
   const stop = on("status", () => (element.isConnected ? update() : stop()));
@@ -311,11 +317,11 @@ export function goalPage(main) {
     if (nothingYet() || handing) return;
     handing = true;
     try {
-      const { id, state: word, message } = await handIn("jobs", { text: jobText(), name: "page" });
+      const job = await handIn("jobs", { text: jobText(), name: "page" });
       // From now on the plan is the job's own.
       draft.plan = null;
       draw();
-      fill(result, h("p", { class: "note", id: "submitted" }, t("Submitted: job {job}, {state}.", { job: id, state: t(word) }), message ? ` ${here(message)}` : "", " ", begins(id), " ", h("a", { href: "#live" }, t("To the cell"))));
+      fill(result, submitted(job));
     } catch (error) {
       fill(result, h("p", { class: "note wrong" }, here(plain(error.message))));
     }

@@ -2,7 +2,7 @@
 
 import { h, card, fill } from "./dom.js";
 import { api, handIn, may, on, state } from "./net.js";
-import { begins, whatSubmitStarts } from "./goal.js";
+import { submitted, whatSubmitStarts } from "./goal.js";
 import { here, t, moment, duration, number } from "./text.js";
 
 /** Report and played-back run in the light of this page. */
@@ -26,8 +26,7 @@ function onceMore(job, { said, starting }) {
     said.dataset.busy = "yes";
     fill(said, h("p", { class: "note" }, t("submitting …")));
     try {
-      const { id, state: became, message } = await handIn(`jobs/${encodeURIComponent(job.id)}/again`);
-      fill(said, h("p", { class: "note", id: "submitted" }, t("Submitted: job {job}, {state}.", { job: id, state: t(became) }), message ? ` ${here(message)}` : "", " ", begins(id), " ", h("a", { href: "#live" }, t("To the cell"))));
+      fill(said, submitted(await handIn(`jobs/${encodeURIComponent(job.id)}/again`)));
     } catch (error) {
       fill(said, h("p", { class: "note wrong" }, here(error.message)));
     }

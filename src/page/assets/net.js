@@ -132,6 +132,8 @@ setInterval(async () => {
 
 export const colour = (id) => state.cell?.objects.find((object) => object.id === id)?.colour ?? "#888";
 export const object = (id) => state.cell?.objects.find((known) => known.id === id);
+/** The cell's own words for a way back begin so. */
+export const onAWayBack = (status) => Boolean(status?.message.startsWith("on a way back"));
 export const mine = () => state.control && state.me && state.control.session === state.me.session;
 const ranks = ["view", "operate", "approve", "engineer"];
 export const may = (role) => state.me && ranks.indexOf(state.me.role) >= ranks.indexOf(role);

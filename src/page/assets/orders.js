@@ -2,7 +2,7 @@
 // is held for a second.
 
 import { h, card, fill } from "./dom.js";
-import { api, on, order, state, mine, may } from "./net.js";
+import { api, on, order, state, mine, may, onAWayBack } from "./net.js";
 import { here, t, time } from "./text.js";
 
 const HOLD_MS = 1200;
@@ -145,23 +145,32 @@ function allow(element, status) {
 /** There is a stop to leave, or something may hang on the gripper although the stop was left. */
 const leaves = (status) => Boolean(!status.armed && (status.stopped || status.ways.length || (status.holding && !status.moving)));
 
+/** Nobody has read a plan that is there for less: a click meant what was there before. */
+const READ_MS = 700;
+
+/** The plan that waits, and since when it is shown, on the clock of events. */
+let waits = { key: "", since: 0 };
+
 function approval(status) {
-  const waiting = status.awaiting_approval[0];
-  if (!waiting) return null;
+  const [waiting] = status.awaiting_approval;
   const plan = status.plan;
-  const disabled = state.stale || !may("approve");
-  return h("div", { class: "note" }, h("p", {}, h("strong", {}, t("Job {job} waits for approval", { job: waiting })),
-    plan ? `; ${t("moves")}: ${plan.steps.length}` : "", plan?.preview ? ` (${t("preview from an earlier look")})` : ""),
-  h("div", { class: "row" },
-    h("button", { type: "button", class: "first", id: "order-approve", disabled, click: () => give(t("Approve"), { do: "approve", id: waiting, plan: plan?.number }) }, t("Approve")),
-    h("button", { type: "button", id: "order-reject", disabled, click: () => give(t("Reject"), { do: "reject", id: waiting }) }, t("Reject"))));
+  const key = JSON.stringify([waiting, plan?.number]);
+  if (key !== waits.key) waits = { key, since: performance.now() };
+  const decide = (label, command) => button(label, command, waiting && !state.stale && may("approve"), {
+    class: waiting && command.do === "approve" ? "first" : null,
+    click: (event) => {
+      if (event.timeStamp - waits.since < READ_MS) missed(label, t("nothing was ordered: the plan had only just come"));
+      else give(label, command);
+    },
+  });
+  return h("div", {},
+    h("div", { class: "row" }, decide(t("Approve"), { do: "approve", id: waiting, plan: plan?.number }), decide(t("Reject"), { do: "reject", id: waiting })),
+    waiting && h("p", { class: "note", id: "waits" }, h("strong", {}, t("Job {job} waits for approval", { job: waiting })),
+      plan ? `; ${t("moves")}: ${plan.steps.length}` : "", plan?.preview ? ` (${t("preview from an earlier look")})` : ""));
 }
 
 /** It cannot be armed because it finishes what is under way: the status says so. */
 const finishes = (status) => (status.arm_refused ?? "").startsWith("not armed: the pick-n-place under way");
-
-/** How the cell's own words for a way back begin. */
-const WAY_BACK = "on a way back";
 
 let before = {};
 
@@ -170,8 +179,8 @@ let before = {};
 function settled() {
   const { status, stale } = state;
   const began = latest.querySelector("#answer.over");
-  const wayBack = before.message?.startsWith(WAY_BACK) && !status?.message.startsWith(WAY_BACK);
-  if (began && status && ((status.stopped && !before.stopped) || (before.job && status.job !== before.job) || wayBack)) began.remove();
+  const left = before.message && onAWayBack(before) && !onAWayBack(status);
+  if (began && status && ((status.stopped && !before.stopped) || (before.job && status.job !== before.job) || left)) began.remove();
   before = status ?? before;
   if (!stale && status && (status.armed || !status.moving)) refused.replaceChildren();
 }
@@ -183,29 +192,29 @@ export function orders() {
   const draw = () => {
     const status = state.status;
     if (!status) return;
-    const key = JSON.stringify([status.armed, status.paused, status.job, status.state, status.stopped, status.awaiting_approval, status.plan?.unix_s, status.holding, leaves(status), Boolean(status.arm_refused), finishes(status), status.message.startsWith(WAY_BACK), status.moving && (!status.armed || status.paused), state.stale, state.control, state.me]);
+    const key = JSON.stringify([status.armed, status.paused, status.job, status.state, status.stopped, status.awaiting_approval, status.plan?.unix_s, status.holding, leaves(status), Boolean(status.arm_refused), finishes(status), onAWayBack(status), status.moving && (!status.armed || status.paused), state.stale, state.control, state.me]);
     // A button that is held down is not replaced.
     if (key === drawn || body.querySelector(".holding")) return allow(body, status);
     drawn = key;
-    const onAWayBack = status.message.startsWith(WAY_BACK);
+    const wayBack = onAWayBack(status);
     const can = may("operate") && !state.stale && status.state !== "starting";
     const go = can && moves();
     const holder = state.control;
-    // The buttons first, and each in its place whatever the state is: a second press never means the opposite,
-    // and nothing that comes or goes moves another under the finger.
+    // The buttons first, each in its place and there whatever the state is: a second press never means the
+    // opposite, and none comes under a finger that was about to press another.
     fill(body,
       h("div", { class: "row" },
         button(t("Arm"), { do: "arm" }, go && !status.armed && !status.arm_refused, { class: status.armed || status.moving || status.stopped || status.holding ? null : "first" }),
         button(t("Disarm"), { do: "disarm" }, true),
-        button(t("Pause"), { do: "pause" }, !status.paused && status.state !== "starting" && !onAWayBack),
+        button(t("Pause"), { do: "pause" }, !status.paused && status.state !== "starting" && !wayBack),
         button(t("Resume"), { do: "resume" }, go && status.paused, { class: status.paused && status.armed ? "first" : null }),
         button(t("One step"), { do: "step" }, go && status.paused && status.armed),
         button(t("Abort"), { do: "abort" }, true),
-        button(t("Park"), { do: "park" }, go && status.armed && !status.job && !onAWayBack),
+        button(t("Park"), { do: "park" }, go && status.armed && !status.job && !wayBack),
         hold(t("Release the vacuum"), () => give(t("Release"), { do: "release", channel: null }), { id: "order-release", disabled: !go }),
-        status.job && button(t("Cancel the job"), { do: "cancel", id: status.job }, can, { title: status.job })),
-      leaves(status) && ways(),
+        button(t("Cancel the job"), { do: "cancel", id: status.job }, can && status.job, { title: status.job })),
       approval(status),
+      leaves(status) && ways(),
       // Beside a move that is finished the cell says what is under way, and nobody has pressed anything.
       !status.armed && status.arm_refused && !finishes(status) && h("p", { class: "soft", id: "arm-refused" }, h("strong", {}, t("It cannot be armed now:"), " "), h("span")),
       h("p", { class: "soft" }, holder ? (mine() ? t("You have control.") : t("{name} has control.", { name: holder.name })) : t("Nobody has control: the first order takes it."), " ",
@@ -231,6 +240,7 @@ function explained() {
     [t("Stop"), t("Abort and Disarm in one, on every screen; it is not the emergency stop")],
     [t("Park"), t("MOVES THE ARM to its park pose")],
     [t("Cancel the job"), t("ends the job after the pick-n-place or look under way; the cell stays armed, and a job that waits begins: THE ARM MOVES")],
+    [t("Approve"), t("agrees to the plan that is shown; in an armed cell that is not paused THE ARM MOVES at once")],
     [t("Reject"), t("ends the job whose plan waits; in an armed cell a job that waits behind it begins: THE ARM MOVES")],
     [t("Release the vacuum"), t("stops and disarms, and lets go of what hangs: hold it by hand")],
   ];
