@@ -114,6 +114,9 @@ impl Agent {
     }
 
     fn listed(&mut self, cells: Option<Vec<(String, CellState, f64)>>) {
+        // A server that stalls and one that has nothing look alike; the own state is there.
+        let own = &self.world.settings.cell;
+        let cells = cells.filter(|cells| cells.iter().any(|(name, ..)| name == own));
         let complete = cells.is_some();
         if let Some(cells) = cells {
             self.world.list(cells);
@@ -148,7 +151,7 @@ impl Agent {
     fn connected(&mut self) {
         self.world.connected = true;
         self.pulling = false;
-        self.steward.reconnected();
+        self.steward.reconnected(&self.world);
         self.steward_at = Timestamp::ZERO;
         for hand in self.hands.values_mut() {
             hand.reconnected(&mut self.world);

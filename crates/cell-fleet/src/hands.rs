@@ -36,7 +36,7 @@ pub enum Step {
     Reading,
     /// The cell judges it.
     Judging,
-    /// This cell refuses it, and who else would is being read.
+    /// This cell refuses it; all cells are being listed: another one may do it.
     Refusing,
     /// The own database notes that it is wanted.
     Wanting,

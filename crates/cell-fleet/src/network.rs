@@ -285,24 +285,27 @@ pub fn published(entry: Entry) -> Option<Published> {
     sound.then_some(Published { target, by, revision: entry.revision, fragment })
 }
 
-/// All entries of a bucket under a pattern.
+/// All entries of a bucket under a pattern; none after a silence without any.
 ///
 /// # Errors
-/// What the server says.
+/// What the server says, or that it went silent before the last of them.
 pub async fn entries(store: &Store, pattern: &str) -> Result<Vec<Entry>, String> {
     let mut watch = store.watch_with_history(pattern).await.map_err(|error| error.to_string())?;
-    let mut found = Vec::new();
+    let (mut found, mut more) = (Vec::new(), 0);
     while let Ok(Some(entry)) = timeout(SILENT, watch.next()).await {
         let entry = entry.map_err(|error| error.to_string())?;
-        let last = entry.delta == 0;
+        more = entry.delta;
         if entry.operation == Operation::Put {
             found.push(entry);
         }
-        if last {
+        if more == 0 {
             break;
         }
     }
-    Ok(found)
+    match more {
+        0 => Ok(found),
+        _ => Err(format!("the server went silent; {more} entries under {pattern} did not come")),
+    }
 }
 
 /// A refusal of the server in words that say what to do.

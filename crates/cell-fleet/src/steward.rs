@@ -27,8 +27,9 @@ struct Known {
 /// What the steward knows.
 #[derive(Default)]
 pub struct Steward {
-    /// Whether this cell is it.
+    /// Which cell is it.
     succession: Succession,
+    /// This cell is it.
     on: bool,
     /// All claims that there were have come.
     complete: bool,
@@ -53,9 +54,9 @@ impl Steward {
     }
 
     /// The connection is another one: all that was followed ended with the one before.
-    pub fn reconnected(&mut self) {
+    pub fn reconnected(&mut self, world: &World) {
         *self = Steward { succession: std::mem::take(&mut self.succession), ..Steward::default() };
-        self.succession.reconnected();
+        self.succession.reconnected(world);
     }
 
     /// All have come.

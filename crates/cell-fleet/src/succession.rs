@@ -14,8 +14,18 @@ use crate::values::Effect;
 use crate::world::World;
 use cell_values::time::{Duration, Timestamp};
 
-/// A list that did not come is requested again after so long.
-const LIST_AGAIN: Duration = Duration::from_secs(10);
+/// The own state reaches the server before the first list: without it a list is none.
+const FIRST_LIST: Duration = Duration::from_secs(1);
+
+/// A list that could not be read is requested again after so long.
+const LIST_AGAIN: Duration = Duration::from_secs(2);
+
+/// A list that was not answered by then is lost.
+const LIST_LOST: Duration = Duration::from_secs(20);
+
+/// After so many lists that could not be read this cell looks after the jobs: another one that does so too
+/// does no harm, and none would.
+const LISTS_MOST: u32 = 3;
 
 /// So long after the server is back each cell that lives has shown itself: they do every five seconds.
 const SHOWN_BY: Duration = Duration::from_secs(15);
@@ -24,13 +34,21 @@ const SHOWN_BY: Duration = Duration::from_secs(15);
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Succession {
     place: Place,
-    /// Since when the server serves.
+    /// When the next list is due.
+    due: Timestamp,
+    /// Lists that could not be read, one after the other.
+    failed: u32,
+    /// Since when cells can show themselves.
     since: Option<Timestamp>,
+    /// Since when the server is away.
+    gone: Option<Timestamp>,
+    /// What is followed is followed over the present connection.
+    follows: bool,
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 enum Place {
-    /// Not known: there is no list yet.
+    /// Not known: a list is due.
     #[default]
     Unknown,
     /// A list was requested then.
@@ -42,9 +60,10 @@ enum Place {
 }
 
 impl Succession {
-    /// The connection is another one: what was followed ended with it.
-    pub fn reconnected(&mut self) {
-        self.since = None;
+    /// The connection is another one, or gone: what was followed ended with it.
+    pub fn reconnected(&mut self, world: &World) {
+        self.follows = false;
+        self.due = world.at.now + FIRST_LIST;
         if !matches!(self.place, Place::Behind(_)) {
             self.place = Place::Unknown;
         }
@@ -52,24 +71,26 @@ impl Succession {
 
     /// Looks at what has changed; true for the cell that looks after all jobs.
     pub fn turn(&mut self, world: &mut World) -> bool {
+        let now = world.at.now;
         if !world.connected {
-            self.reconnected();
+            self.gone.get_or_insert(now);
+            self.reconnected(world);
             return false;
         }
-        if self.since.is_none() {
-            self.since = Some(world.at.now);
-            if let Place::Behind(name) = &self.place {
-                world.want(Effect::Watch(Some(name.clone())));
-            }
+        let was_long = self.gone.take().is_some_and(|gone| now.since(gone) >= SHOWN_BY);
+        if was_long || self.since.is_none() {
+            self.since = Some(now);
         }
         match &self.place {
-            Place::Unknown => self.list(world),
-            Place::Listing(since) if world.at.now.since(*since) >= LIST_AGAIN => self.list(world),
+            Place::Unknown if now >= self.due => self.list(world),
+            Place::Listing(since) if now.since(*since) >= LIST_LOST => self.unlisted(world),
+            Place::Unknown | Place::Listing(_) => {}
             Place::Behind(name) if self.is_settled(world) && world.is_away(name) => {
                 world.want(Effect::Watch(None));
                 self.list(world);
             }
-            Place::Listing(_) | Place::Behind(_) => {}
+            Place::Behind(name) if !self.follows => self.behind(world, name.clone()),
+            Place::Behind(_) => {}
             Place::First => {
                 if let Some(name) = world.before_this() {
                     self.behind(world, name);
@@ -81,9 +102,13 @@ impl Succession {
 
     /// All cells were listed; false when they could not be.
     pub fn listed(&mut self, world: &mut World, complete: bool) {
-        if !complete || !matches!(self.place, Place::Listing(_)) {
+        if !matches!(self.place, Place::Listing(_)) {
             return;
         }
+        if !complete {
+            return self.unlisted(world);
+        }
+        self.failed = 0;
         let earlier = world.members.keys().find(|name| **name < world.settings.cell).cloned();
         match world.before_this().or(earlier.filter(|_| !self.is_settled(world))) {
             Some(name) => self.behind(world, name),
@@ -100,7 +125,14 @@ impl Succession {
         world.want(Effect::List);
     }
 
+    fn unlisted(&mut self, world: &World) {
+        self.failed += 1;
+        self.due = world.at.now + LIST_AGAIN;
+        self.place = if self.failed < LISTS_MOST { Place::Unknown } else { Place::First };
+    }
+
     fn behind(&mut self, world: &mut World, name: String) {
+        self.follows = true;
         world.want(Effect::Watch(Some(name.clone())));
         self.place = Place::Behind(name);
     }
@@ -112,13 +144,14 @@ mod tests {
     use crate::payloads::CellState;
     use crate::world::{KnownCell, Settings};
 
+    fn known(unix_s: f64) -> KnownCell {
+        KnownCell { state: CellState::default(), unix_s }
+    }
+
     fn world(cells: &[(&str, f64)]) -> World {
         let mut world = World::new(Settings::new("b", &[]));
         (world.connected, world.at.unix_s) = (true, 1000.0);
-        for (name, unix_s) in cells {
-            let known = KnownCell { state: CellState::default(), unix_s: *unix_s };
-            world.members.insert(name.to_string(), known);
-        }
+        world.members = cells.iter().map(|(name, unix_s)| (name.to_string(), known(*unix_s))).collect();
         world
     }
 
@@ -126,42 +159,50 @@ mod tests {
         world.effects.drain(..).collect()
     }
 
+    fn watch(name: &str) -> Effect {
+        Effect::Watch(Some(name.to_string()))
+    }
+
+    /// Connected for so long that all who live have shown themselves, and a list is on its way.
+    fn listing(cells: &[(&str, f64)]) -> (World, Succession) {
+        let (mut world, mut of) = (world(cells), Succession::default());
+        of.reconnected(&world);
+        assert!(!of.turn(&mut world) && wanted(&mut world).is_empty(), "the own state is on its way");
+        world.at.now += SHOWN_BY;
+        assert!(!of.turn(&mut world), "not before there is a list");
+        assert_eq!(wanted(&mut world), [Effect::List]);
+        (world, of)
+    }
+
     #[test]
     fn the_first_that_is_not_away_is_it_once_it_has_a_list() {
+        let alive = 999.0;
         for (cells, first) in [
             (vec![], true),
-            (vec![("c", 999.0)], true),
-            (vec![("a", 900.0), ("c", 999.0)], true),
-            (vec![("a", 999.0)], false),
-            (vec![("a", 999.0), ("aa", 900.0)], false),
+            (vec![("c", alive)], true),
+            (vec![("a", 900.0), ("c", alive)], true),
+            // Of another server, whose clock was ahead.
+            (vec![("a", 5000.0)], true),
+            (vec![("a", alive)], false),
+            (vec![("a", alive), ("aa", 900.0)], false),
         ] {
-            let (mut world, mut of) = (world(&cells), Succession::default());
-            assert!(!of.turn(&mut world), "not before there is a list");
-            world.at.now += SHOWN_BY;
-            assert_eq!(wanted(&mut world), [Effect::List]);
-            of.listed(&mut world, false);
-            assert!(!of.turn(&mut world), "a list that did not come says nothing");
-            wanted(&mut world);
+            let (mut world, mut of) = listing(&cells);
             of.listed(&mut world, true);
             assert_eq!(of.turn(&mut world), first, "{cells:?}");
-            let follows: Vec<Effect> =
-                if first { vec![] } else { vec![Effect::Watch(Some("a".to_string()))] };
+            let follows = if first { vec![] } else { vec![watch("a")] };
             assert_eq!(wanted(&mut world), follows, "{cells:?}");
         }
     }
 
     #[test]
-    fn it_steps_back_behind_an_earlier_cell_and_follows_when_that_is_away() {
-        let (mut world, mut of) = (world(&[]), Succession::default());
-        of.turn(&mut world);
+    fn it_steps_back_behind_an_earlier_cell_and_lists_when_that_is_away() {
+        let (mut world, mut of) = listing(&[]);
         of.listed(&mut world, true);
         assert!(of.turn(&mut world));
-        world.members.insert("a".into(), KnownCell { state: CellState::default(), unix_s: 999.0 });
+        world.members.insert("a".into(), known(999.0));
         assert!(!of.turn(&mut world));
-        assert_eq!(wanted(&mut world), [Effect::List, Effect::Watch(Some("a".to_string()))]);
+        assert_eq!(wanted(&mut world), [watch("a")]);
         world.at.unix_s = 1100.0;
-        assert!(!of.turn(&mut world) && wanted(&mut world).is_empty(), "the server has just come");
-        world.at.now += SHOWN_BY;
         assert!(!of.turn(&mut world), "who else is before it has to be seen first");
         assert_eq!(wanted(&mut world), [Effect::Watch(None), Effect::List]);
         of.listed(&mut world, true);
@@ -169,40 +210,65 @@ mod tests {
     }
 
     #[test]
-    fn a_list_that_does_not_come_is_requested_again_and_without_a_connection_no_cell_is_it() {
-        let (mut world, mut of) = (world(&[]), Succession::default());
-        of.turn(&mut world);
-        world.at.now += LIST_AGAIN;
-        of.turn(&mut world);
-        assert_eq!(wanted(&mut world), [Effect::List, Effect::List]);
-        of.listed(&mut world, true);
-        assert!(of.turn(&mut world));
-        world.connected = false;
+    fn a_list_that_does_not_come_is_requested_again_and_after_some_of_them_it_is_the_first() {
+        let (mut world, mut of) = listing(&[("a", 999.0)]);
+        world.at.now += LIST_LOST;
         assert!(!of.turn(&mut world));
+        for _ in 1..LISTS_MOST {
+            assert!(!of.turn(&mut world) && wanted(&mut world).is_empty(), "not at once");
+            world.at.now += LIST_AGAIN;
+            assert!(!of.turn(&mut world));
+            assert_eq!(wanted(&mut world), [Effect::List]);
+            of.listed(&mut world, false);
+        }
+        // Who is seen to be before it is followed all the same.
+        world.members.clear();
+        assert!(of.turn(&mut world), "no cell else may be able to list");
+        world.connected = false;
+        assert!(!of.turn(&mut world), "nor is it without a server");
     }
 
     #[test]
     fn after_a_long_absence_of_the_server_it_follows_on_until_the_others_had_time_to_show_themselves() {
         for listed_before in [true, false] {
-            let (mut world, mut of) = (world(&[("a", 999.0)]), Succession::default());
+            let (mut world, mut of) = listing(&[("a", 999.0)]);
             if listed_before {
-                of.turn(&mut world);
                 of.listed(&mut world, true);
             }
+            wanted(&mut world);
             (world.connected, world.at.unix_s) = (false, 2000.0);
             of.turn(&mut world);
-            wanted(&mut world);
+            world.at.now += SHOWN_BY;
             world.connected = true;
-            assert!(!of.turn(&mut world));
+            of.turn(&mut world);
+            world.at.now += FIRST_LIST;
+            of.turn(&mut world);
             of.listed(&mut world, true);
             assert!(!of.turn(&mut world), "all states are old");
             let list = (!listed_before).then_some(Effect::List);
-            let follow = Effect::Watch(Some("a".to_string()));
-            assert_eq!(wanted(&mut world), list.into_iter().chain([follow]).collect::<Vec<_>>());
+            assert_eq!(wanted(&mut world), list.into_iter().chain([watch("a")]).collect::<Vec<_>>());
             world.at.now += SHOWN_BY;
             of.turn(&mut world);
             of.listed(&mut world, true);
             assert!(of.turn(&mut world), "a has not come back");
         }
+    }
+
+    #[test]
+    fn a_connection_that_comes_and_goes_does_not_keep_a_dead_cell_first() {
+        let (mut world, mut of) = listing(&[("a", 999.0)]);
+        of.listed(&mut world, true);
+        of.turn(&mut world);
+        world.at.unix_s = 1100.0;
+        let mut lists = 0;
+        for _ in 0..10 {
+            world.connected = false;
+            of.turn(&mut world);
+            world.connected = true;
+            world.at.now += LIST_AGAIN;
+            of.turn(&mut world);
+            lists += wanted(&mut world).iter().filter(|effect| **effect == Effect::List).count();
+        }
+        assert!(lists > 0, "{of:?}");
     }
 }

@@ -24,7 +24,7 @@ const BEGINS_WITHIN: Duration = Duration::from_secs(15);
 /// What is followed, in complaints.
 const ALL_CLAIMS: &str = "the claims of all cells";
 const ALL_CELLS: &str = "the other cells";
-const ONE_CELL: &str = "the cell that looks after all jobs";
+const ONE_CELL: &str = "a cell before this one";
 
 /// What a cell follows for a while; it ends with this.
 #[derive(Default)]
@@ -90,7 +90,10 @@ impl Network {
         let this = self.clone();
         self.spawn(async move {
             let listed = timeout(BEGINS_WITHIN, entries(&this.server.cells, ">")).await;
-            let cells = listed.ok().and_then(Result::ok).map(|entries| {
+            let listed = listed.unwrap_or_else(|_| Err("no answer".to_string()));
+            let fault = listed.as_ref().err().map(|text| format!("the cells could not be listed ({text})"));
+            this.report(News::Complaint("the list of the cells", fault.unwrap_or_default()));
+            let cells = listed.ok().map(|entries| {
                 let cell = |entry: Entry| {
                     let (unix_s, state) = (unix_s(&entry), state_of(&entry));
                     (entry.key, state, unix_s)

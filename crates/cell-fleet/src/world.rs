@@ -1,7 +1,7 @@
 //! What a cell knows of its fleet, and the list of what is to be done: shared by the parts that decide.
 //!
-//! In: the states of the cells, refusals, what persons want. Out: who serves a job, who is away, who looks
-//! after all. Pure.
+//! In: the states of the cells, refusals, what persons want. Out: who serves a job, who is away, who is
+//! before this cell. Pure.
 
 use crate::payloads::{CellState, Wish};
 use crate::subjects::{Key, Target};
@@ -127,10 +127,13 @@ impl World {
         (!reasons.is_empty()).then_some(reasons)
     }
 
-    /// A cell whose state is old.
+    /// A cell whose state is old, or of another server, whose clock was ahead.
     pub fn is_away(&self, cell: &str) -> bool {
-        let limit = self.settings.away.as_secs_f64();
-        self.members.get(cell).is_none_or(|member| self.at.unix_s - member.unix_s > limit)
+        self.members.get(cell).is_none_or(|member| self.is_old(member.unix_s))
+    }
+
+    fn is_old(&self, unix_s: f64) -> bool {
+        (self.at.unix_s - unix_s).abs() > self.settings.away.as_secs_f64()
     }
 
     /// The first cell that has an earlier name than this one and is not away.
@@ -139,13 +142,18 @@ impl World {
         self.members.keys().find(|name| *name < own && !self.is_away(name)).cloned()
     }
 
-    /// The states of all cells. What came of one of them meanwhile is newer.
+    /// The states of all cells. What came of one of them meanwhile is newer, also of one that is not listed.
     pub fn list(&mut self, cells: Vec<(String, CellState, f64)>) {
-        let mut before = std::mem::take(&mut self.members);
-        for (name, state, unix_s) in cells {
-            let newer = before.remove(&name).filter(|known| known.unix_s > unix_s);
-            self.members.insert(name, newer.unwrap_or(KnownCell { state, unix_s }));
-        }
+        let newest = cells.iter().map(|(.., unix_s)| *unix_s).fold(f64::NEG_INFINITY, f64::max);
+        let listed = cells.iter().map(|(name, .., unix_s)| (name.clone(), *unix_s));
+        let listed: BTreeMap<String, f64> = listed.collect();
+        let mut newer = std::mem::take(&mut self.members);
+        newer.retain(|name, known| {
+            known.unix_s > listed.get(name).copied().unwrap_or(newest) && !self.is_old(known.unix_s)
+        });
+        self.members =
+            cells.into_iter().map(|(name, state, unix_s)| (name, KnownCell { state, unix_s })).collect();
+        self.members.extend(newer);
     }
 }
 
@@ -182,11 +190,13 @@ mod tests {
 
     #[test]
     fn a_list_replaces_what_was_known_but_for_what_is_newer() {
-        let mut world = world(&[("a", &["old"], 990.0), ("gone", &[], 990.0)]);
+        let known: [(&str, &[&str], f64); 4] =
+            [("a", &["newer"], 990.0), ("ahead", &[], 5000.0), ("gone", &[], 970.0), ("new", &[], 999.0)];
+        let mut world = world(&known);
         let listed = |name: &str, unix_s| (name.to_string(), CellState::default(), unix_s);
         world.list(vec![listed("a", 980.0), listed("c", 970.0)]);
-        assert_eq!(world.members.keys().collect::<Vec<_>>(), ["a", "c"]);
-        assert_eq!(world.members["a"].state.labels, ["old"]);
+        assert_eq!(world.members.keys().collect::<Vec<_>>(), ["a", "c", "new"]);
+        assert_eq!(world.members["a"].state.labels, ["newer"]);
         assert_eq!(world.before_this().as_deref(), Some("a"));
     }
 }

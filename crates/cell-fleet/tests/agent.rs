@@ -27,7 +27,8 @@ impl Bench {
     fn ready() -> Bench {
         let mut bench = Bench::new(Vec::new());
         bench.take(Input::Connected);
-        bench.take(Input::Cells(Some(Vec::new())));
+        bench.after(1);
+        bench.take(Input::Cells(Some(vec![("c1".into(), CellState::default(), 1e9)])));
         bench.take(Input::Ready(true));
         bench
     }
@@ -210,7 +211,14 @@ fn a_refused_job_is_set_aside_only_by_who_knows_all_cells() {
         let state = |label: &&str| CellState { labels: vec![label.to_string()], ..CellState::default() };
         labels.iter().zip(1..).map(|(label, n)| (format!("c{n}"), state(label), 1e9)).collect::<Vec<_>>()
     };
-    for (listed, aside) in [(Some(cells(&["a"])), true), (Some(cells(&["a", "b"])), false), (None, false)] {
+    let without_this = cells(&["a", "b"]).into_iter().skip(1).collect();
+    for (listed, aside) in [
+        (Some(cells(&["a"])), true),
+        (Some(cells(&["a", "b"])), false),
+        (Some(without_this), false),
+        (Some(Vec::new()), false),
+        (None, false),
+    ] {
         let mut bench = Bench::ready();
         bench.pulled(&job("b"), 1);
         bench.read(None);

@@ -52,6 +52,13 @@ fn check(seed: u64, world: &World) {
         cells.dedup();
         assert_eq!(cells.len(), times.len(), "seed {seed}: {job} twice in one cell\n{}", of(job));
     }
+    // A cell that can do it is there: no one sets it aside.
+    let all_live = world.cells.iter().all(|cell| !cell.dead);
+    let aside =
+        |job: &str| matches!(world.claims.get(job), Some((claim, ..)) if claim.state == ClaimState::Aside);
+    for job in world.claims.keys().filter(|job| aside(job) && !is_impossible(job)) {
+        assert!(!all_live || world.given.contains(job), "seed {seed}: {job} was set aside\n{}", of(job));
+    }
     let mut begun: BTreeMap<&str, Vec<(u32, &str)>> = BTreeMap::new();
     for (job, epoch, cell) in &world.begun {
         begun.entry(job).or_default().push((*epoch, cell));
@@ -80,6 +87,9 @@ fn a_calm_fleet_does_each_job_once_and_sets_aside_what_no_cell_can_do() {
         }
     }
     assert_eq!(world.claims.len(), 30);
+    // Each state goes to two at most beside the cell itself.
+    assert_eq!(world.follow_all(), ["c0"]);
+    assert_eq!(world.follow_one(), [("c1", "c0"), ("c2", "c0"), ("c3", "c0")]);
 }
 
 #[test]

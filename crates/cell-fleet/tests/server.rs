@@ -215,7 +215,7 @@ fn payloads_of_others_are_left_where_they_are_and_named() {
     ended(&runtime, &client, 1, std::slice::from_ref(&cell));
     assert_eq!(runtime.block_on(client.queued()).unwrap().values().sum::<usize>(), 1, "that of version 9");
 
-    // A claim of another version: its job is neither begun nor given back.
+    // A claim of another version: its job is not begun, and goes back for a cell of that version.
     let key = Key::claim("later");
     raw(format!("$KV.{}.{key}", fleet().claims_bucket()), br#"{"version": 9}"#);
     raw(in_queue(), &encode(&job("later")).unwrap());

@@ -5,7 +5,6 @@
 use super::{SimEvent, World};
 use cell_fleet::payloads::{Claim, ClaimState, VERSION, Wish};
 use cell_fleet::subjects::Key;
-use cell_fleet::values::Input;
 use rand::RngExt;
 use std::collections::BTreeSet;
 
@@ -95,7 +94,7 @@ impl World {
         // And takes that cell out of the fleet: it is not waited for with jobs that all others refuse.
         for name in &dead {
             if self.states.remove(name).is_some() {
-                self.broadcast(&Input::Cell { name: name.clone(), state: None, unix_s: 0.0 });
+                self.followers_receive(name, None);
             }
         }
         for (job, epoch) in stranded {

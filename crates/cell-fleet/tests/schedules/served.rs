@@ -86,6 +86,9 @@ impl World {
                 }
             }
             Request::Watch(name) => self.watch(cell, name),
+            // A server that stalls has nothing, or breaks off.
+            Request::List if self.rng.random_bool(0.05) => return Some(Input::Cells(Some(Vec::new()))),
+            Request::List if self.rng.random_bool(0.05) => return Some(Input::Cells(None)),
             Request::List => {
                 let cell = |(name, (state, ms)): (&String, &(CellState, u64))| {
                     (name.clone(), state.clone(), *ms as f64 / 1e3)
@@ -97,6 +100,17 @@ impl World {
         None
     }
 
+    /// Names of the cells that follow all others.
+    pub fn follow_all(&self) -> Vec<&str> {
+        self.cells.iter().filter(|cell| cell.follows).map(|cell| cell.name.as_str()).collect()
+    }
+
+    /// Names of the cells that follow one, each with that one's.
+    pub fn follow_one(&self) -> Vec<(&str, &str)> {
+        let following = self.cells.iter().filter(|cell| cell.watches.is_some());
+        following.map(|cell| (cell.name.as_str(), cell.watches.as_deref().unwrap_or_default())).collect()
+    }
+
     fn watch(&mut self, cell: usize, name: Option<String>) {
         self.cells[cell].watches.clone_from(&name);
         if let Some((name, (state, ms))) = name.and_then(|name| self.states.get_key_value(&name)) {
@@ -106,15 +120,19 @@ impl World {
         }
     }
 
-    /// The state of a cell goes to who follows it.
     fn show(&mut self, cell: usize, state: CellState) {
         let name = self.cells[cell].name.clone();
         self.states.insert(name.clone(), (state.clone(), self.now));
-        let input =
-            Input::Cell { name: name.clone(), state: Some(Box::new(state)), unix_s: self.now as f64 / 1e3 };
+        self.followers_receive(&name, Some(state));
+    }
+
+    /// The state of a cell, or that it was taken out, goes to who follows it.
+    pub(super) fn followers_receive(&mut self, name: &str, state: Option<CellState>) {
+        let unix_s = self.now as f64 / 1e3;
+        let input = Input::Cell { name: name.to_string(), state: state.map(Box::new), unix_s };
         for other in 0..self.cells.len() {
             let here = &self.cells[other];
-            let sees = here.follows || here.name == name || here.watches.as_ref() == Some(&name);
+            let sees = here.follows || here.name == name || here.watches.as_deref() == Some(name);
             if sees && here.connection.is_some() {
                 self.receives(other, input.clone());
             }
