@@ -290,6 +290,7 @@ def submit_again(window):
     window.picture("jobs-again")
     window.screen("live")
     window.text("main", "Job second.2")
+    page.wait_for_timeout(1000)
     page.click("#order-cancel")
     expect(page.locator("#order-cancel")).to_be_disabled()
     window.text("#last", "second.2")

@@ -55,11 +55,13 @@ function begins(id) {
     if (active && status.job !== id) return t("It is over.");
     active ||= status.job === id;
     if (status.awaiting_approval.includes(id)) return t("Its plan waits for approval, under Now.");
+    // Also in a cell that was disarmed or paused meanwhile: what is under way is finished.
+    if (active && status.moving) return t("THE ARM MOVES NOW.");
     if (!status.armed || onAWayBack(status)) return status.paused ? t("It begins once the cell is armed, after Resume.") : t("It begins once the cell is armed.");
     if (!active && status.job) return t("It begins behind {job}.", { job: status.job });
     if (status.paused && !status.moving) return t("It begins after Resume.");
     // Between two motions it may wait for a plan or a gate; what follows begins without another word.
-    return status.moving ? t("THE ARM MOVES NOW.") : t("It begins: THE ARM MAY MOVE AT ANY MOMENT.");
+    return t("It begins: THE ARM MAY MOVE AT ANY MOMENT.");
   };
   const update = () => {
     const now = state.status ? words() : "";

@@ -145,28 +145,44 @@ function allow(element, status) {
 /** There is a stop to leave, or something may hang on the gripper although the stop was left. */
 const leaves = (status) => Boolean(!status.armed && (status.stopped || status.ways.length || (status.holding && !status.moving)));
 
-/** Nobody has read a plan that is there for less: a click meant what was there before. */
+/** What is there for less cannot have been read: a click that comes sooner meant what was there before. */
 const READ_MS = 700;
 
-/** The plan that waits, and since when it is shown, on the clock of events. */
-let waits = { key: "", since: 0 };
+/** Since when something is shown, on the clock of events: from when it was painted, however busy the page is. */
+function shown() {
+  let [key, since] = ["", Infinity];
+  return {
+    is(now) {
+      if (now === key) return;
+      [key, since] = [now, Infinity];
+      requestAnimationFrame(() => requestAnimationFrame(() => { if (key === now) since = performance.now(); }));
+    },
+    readAt: (event) => event.timeStamp - since >= READ_MS,
+  };
+}
+
+const [plans, jobs] = [shown(), shown()];
+
+/** A button whose order is about what is shown, and that says why nothing came of a click that was too soon. */
+function about(what, label, command, enabled, tooSoon, attributes = {}) {
+  const click = (event) => (what.readAt(event) ? give(label, command) : missed(label, tooSoon));
+  // A key that is held down is one press.
+  const keydown = (event) => { if (event.repeat) event.preventDefault(); };
+  return button(label, command, enabled, { click, keydown, ...attributes });
+}
 
 function approval(status) {
   const [waiting] = status.awaiting_approval;
   const plan = status.plan;
-  const key = JSON.stringify([waiting, plan?.number]);
-  if (key !== waits.key) waits = { key, since: performance.now() };
-  const decide = (label, command) => button(label, command, waiting && !state.stale && may("approve"), {
-    class: waiting && command.do === "approve" ? "first" : null,
-    click: (event) => {
-      if (event.timeStamp - waits.since < READ_MS) missed(label, t("nothing was ordered: the plan had only just come"));
-      else give(label, command);
-    },
-  });
+  plans.is(JSON.stringify([waiting, plan?.number]));
+  const tooSoon = t("nothing was ordered: the plan had only just come");
+  const mayApprove = may("approve");
+  const decide = (label, command) => about(plans, label, command, waiting && !state.stale && mayApprove, tooSoon, { class: waiting && command.do === "approve" ? "first" : null });
   return h("div", {},
     h("div", { class: "row" }, decide(t("Approve"), { do: "approve", id: waiting, plan: plan?.number }), decide(t("Reject"), { do: "reject", id: waiting })),
     waiting && h("p", { class: "note", id: "waits" }, h("strong", {}, t("Job {job} waits for approval", { job: waiting })),
-      plan ? `; ${t("moves")}: ${plan.steps.length}` : "", plan?.preview ? ` (${t("preview from an earlier look")})` : ""));
+      plan ? `; ${t("moves")}: ${plan.steps.length}` : "", plan?.preview ? ` (${t("preview from an earlier look")})` : "",
+      state.me && !mayApprove ? [h("br"), t("Approving takes the role approve.")] : ""));
 }
 
 /** It cannot be armed because it finishes what is under way: the status says so. */
@@ -201,7 +217,8 @@ export function orders() {
     const go = can && moves();
     const holder = state.control;
     // The buttons first, each in its place and there whatever the state is: a second press never means the
-    // opposite, and none comes under a finger that was about to press another.
+    // opposite, and none takes the place of another.
+    jobs.is(status.job);
     fill(body,
       h("div", { class: "row" },
         button(t("Arm"), { do: "arm" }, go && !status.armed && !status.arm_refused, { class: status.armed || status.moving || status.stopped || status.holding ? null : "first" }),
@@ -212,7 +229,7 @@ export function orders() {
         button(t("Abort"), { do: "abort" }, true),
         button(t("Park"), { do: "park" }, go && status.armed && !status.job && !wayBack),
         hold(t("Release the vacuum"), () => give(t("Release"), { do: "release", channel: null }), { id: "order-release", disabled: !go }),
-        button(t("Cancel the job"), { do: "cancel", id: status.job }, can && status.job, { title: status.job })),
+        about(jobs, t("Cancel the job"), { do: "cancel", id: status.job }, can && status.job, t("nothing was ordered: the job had only just begun"), { title: status.job })),
       approval(status),
       leaves(status) && ways(),
       // Beside a move that is finished the cell says what is under way, and nobody has pressed anything.
