@@ -300,8 +300,7 @@ demo-fleet: setup setup-fleet
 
 # Figures, none of them judged but one: no job is lost or done twice. About ten minutes.
 bench-fleet: setup-fleet
-	cargo build --release -p cell-fleet --example storm
-	$(BUILD)/release/examples/storm --nats $(FLEET)/bin/nats-server $(ARGS)
+	cargo bench --features fleet --bench fleet_storm -- --nats $(CURDIR)/$(FLEET)/bin/nats-server $(ARGS)
 
 FLEET_TESTS := $(patsubst crates/cell-fleet/tests/%.rs,--test %,$(wildcard crates/cell-fleet/tests/*.rs))
 

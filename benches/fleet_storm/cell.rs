@@ -1,8 +1,9 @@
-//! One cell of the storm: its part in the fleet is the real one, its work is only time.
+//! One cell of the storm: its part in the fleet is the real one, its journal a small one.
 //!
-//! In: a folder, the server by the environment. Out: `journal.sqlite` there, written through to the disk:
-//! one row a job, and one row each time that the arm would set out. Ends by being killed.
+//! In: a folder, server and work by the environment. Out: `journal.sqlite` there, written through to the
+//! disk: one row a job, and one row each time that the arm sets out. Ends by being killed.
 
+use crate::work::{Ended, Timed, Virtual, Work};
 use cell_fleet::connect::Access;
 use cell_fleet::files::FileKind;
 use cell_fleet::fragments::Wanted;
@@ -16,14 +17,13 @@ use cell_fleet::values::Local;
 use rusqlite::{Connection, OptionalExtension};
 use std::path::Path;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use tokio::sync::oneshot;
 
 struct Side {
     journal: Connection,
-    takes: Duration,
-    /// The job that is worked on, and when it is over.
-    works: Option<(String, Instant)>,
+    work: Box<dyn Work>,
+    busy: bool,
 }
 
 fn fault(error: rusqlite::Error) -> String {
@@ -31,24 +31,33 @@ fn fault(error: rusqlite::Error) -> String {
 }
 
 impl Side {
-    fn open(folder: &Path, takes: Duration) -> Side {
+    fn open(folder: &Path, work: Box<dyn Work>) -> Side {
         let journal = Connection::open(folder.join("journal.sqlite")).unwrap();
         journal
             .execute_batch(
                 "PRAGMA journal_mode=WAL; PRAGMA synchronous=FULL;
-                 CREATE TABLE IF NOT EXISTS job (id TEXT PRIMARY KEY, status TEXT);
+                 CREATE TABLE IF NOT EXISTS job (id TEXT PRIMARY KEY, status TEXT, moves INTEGER);
                  CREATE TABLE IF NOT EXISTS carried (id TEXT);
                  UPDATE job SET status='interrupted' WHERE status IS NULL;",
             )
             .unwrap();
-        Side { journal, takes, works: None }
+        Side { journal, work, busy: false }
     }
 
     fn work(&mut self) {
-        if let Some((job, _)) = self.works.take_if(|(_, over)| *over <= Instant::now()) {
-            self.journal.execute("UPDATE job SET status='done' WHERE id=?1", [job]).unwrap();
+        if let Some(Ended { job, status, moves }) = self.work.ended() {
+            let row = "UPDATE job SET status=?2, moves=?3 WHERE id=?1";
+            self.journal.execute(row, (job, status, moves)).unwrap();
+            self.busy = false;
         }
     }
+}
+
+/// How many jobs a cell has carried out to their end, and with how many moves.
+pub fn done(folder: &Path) -> (i64, i64) {
+    let journal = Connection::open(folder.join("journal.sqlite")).unwrap();
+    let sums = "SELECT count(*), coalesce(sum(moves), 0) FROM job WHERE status='done'";
+    journal.query_row(sums, [], |row| Ok((row.get(0)?, row.get(1)?))).unwrap()
 }
 
 /// The jobs that a cell has set out for, once for each time.
@@ -62,8 +71,8 @@ pub fn carried_out(folder: &Path) -> Vec<String> {
 impl CellSide for Side {
     fn state(&mut self) -> CellState {
         self.work();
-        let idle = self.works.is_none();
-        CellState { armed: true, idle, state: "idle".into(), ..CellState::default() }
+        let (armed, idle) = (self.work.is_ready(), !self.busy);
+        CellState { armed, idle, state: "idle".into(), ..CellState::default() }
     }
 
     fn events(&mut self) -> Vec<CellEvent> {
@@ -82,20 +91,26 @@ impl CellSide for Side {
         if new == 1 {
             self.journal.execute("INSERT INTO carried (id) VALUES (?1)", [&job.id]).map_err(fault)?;
             both.commit().map_err(fault)?;
-            self.works = Some((job.id.clone(), Instant::now() + self.takes));
+            self.work.begin(&job.id);
+            self.busy = true;
         }
         Ok(())
     }
 
     fn look(&mut self, job: &str) -> Result<Local, String> {
         self.work();
-        let mut row = self.journal.prepare_cached("SELECT status FROM job WHERE id=?1").map_err(fault)?;
-        let status: Option<Option<String>> =
-            row.query_row([job], |row| row.get(0)).optional().map_err(fault)?;
-        Ok(match status {
+        let mut row =
+            self.journal.prepare_cached("SELECT status, moves FROM job WHERE id=?1").map_err(fault)?;
+        let found: Option<(Option<String>, Option<i64>)> =
+            row.query_row([job], |row| Ok((row.get(0)?, row.get(1)?))).optional().map_err(fault)?;
+        Ok(match found {
             None => Local::Unknown,
-            Some(None) => Local::Open,
-            Some(Some(status)) => Local::Ended(Outcome { status, moves: 2, ..Outcome::default() }),
+            Some((None, _)) => Local::Open,
+            Some((Some(status), moves)) => Local::Ended(Outcome {
+                status,
+                moves: u32::try_from(moves.unwrap_or(0)).unwrap_or(0),
+                ..Outcome::default()
+            }),
         })
     }
 
@@ -114,11 +129,22 @@ impl CellSide for Side {
     fn complaints(&mut self, _: &[String]) {}
 }
 
+/// The machine in virtual time, with a seed of the cell's own; with a number of milliseconds only that.
+fn work(name: &str, takes_ms: &str) -> Box<dyn Work> {
+    match takes_ms.parse() {
+        Ok(ms) => Box::new(Timed { takes: Duration::from_millis(ms), works: None }),
+        Err(_) => {
+            let number = name.trim_start_matches("cell-").parse().unwrap_or(0);
+            Box::new(Virtual::start(number))
+        }
+    }
+}
+
 /// Takes part until the process is killed.
 pub fn run(folder: &Path) {
     let variable = |name: &str| std::env::var(name).unwrap();
-    let takes = Duration::from_millis(variable("CELLD_STORM_TAKES_MS").parse().unwrap());
     let name = folder.file_name().unwrap().to_string_lossy().into_owned();
+    let side = Side::open(folder, work(&name, &variable("CELLD_STORM_TAKES_MS")));
     let settings = Settings {
         fleet: Fleet::new(super::FLEET).unwrap(),
         cell: name.clone(),
@@ -135,7 +161,6 @@ pub fn run(folder: &Path) {
         series: "storm".to_string(),
         limits: Limits::USUAL,
     };
-    let side = Side::open(folder, takes);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(take_part(settings, Box::new(side), Arc::default()));
 }
