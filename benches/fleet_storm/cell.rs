@@ -154,6 +154,7 @@ pub fn run(folder: &Path) {
             credentials: None,
             authority: None,
             tls: false,
+            domain: None,
             name,
         },
         storage: Storage { replicas: variable("CELLD_STORM_NODES").parse().unwrap(), ..Storage::USUAL },

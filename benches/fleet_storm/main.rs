@@ -360,6 +360,7 @@ async fn connect(server: &Server) -> Client {
         credentials: None,
         authority: None,
         tls: false,
+        domain: None,
         name: "storm".to_string(),
     };
     let storage = Storage { replicas: server.replicas(), ..Storage::USUAL };

@@ -26,6 +26,8 @@ pub struct FleetConfig {
     pub nkey: Option<PathBuf>,
     /// A certificate authority besides those of the system, PEM.
     pub authority: Option<PathBuf>,
+    /// The JetStream domain of the fleet's server, where the cell's own server is a leaf node.
+    pub domain: Option<String>,
     /// Nodes of the server's cluster that hold each message.
     pub replicas: u8,
     /// Bytes of events that are kept while the network is away.
@@ -35,7 +37,7 @@ pub struct FleetConfig {
 }
 
 const KEYS: &[&str] =
-    &["name", "cell", "labels", "servers", "credentials", "nkey", "authority", "replicas", "keep"];
+    &["name", "cell", "labels", "servers", "credentials", "nkey", "authority", "domain", "replicas", "keep"];
 
 /// Longest name of a fleet, cell or label.
 const NAME_MAX: usize = 40;
@@ -59,6 +61,7 @@ pub(super) fn fleet(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<Fle
     let cell = fields.required("cell", decoder).and_then(|at| token(decoder, &at));
     let labels = optional(decoder, &fields, "labels", Vec::new(), |d, at| list(d, at, token));
     let servers = fields.required("servers", decoder).and_then(|at| servers(decoder, &at));
+    let domain = optional(decoder, &fields, "domain", None, |d, at| token(d, at).map(Some));
     let replicas = optional(decoder, &fields, "replicas", 1, |d, at| d.integer(at, 1..=5));
     let keep = optional(decoder, &fields, "keep", (1.0, 7.0), keep);
     if let (Some(Some(_)), Some(Some(_))) = (&credentials, &nkey) {
@@ -74,6 +77,7 @@ pub(super) fn fleet(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<Fle
         credentials: credentials?,
         nkey: nkey?,
         authority: authority?,
+        domain: domain?,
         replicas: u8::try_from(replicas?).ok()?,
         keep_bytes: (gb * 1e9) as u64,
         keep_days: days,
@@ -102,7 +106,7 @@ fn token(decoder: &mut Decoder, at: &At) -> Option<String> {
         return Some(text);
     }
     let help = format!("write 1 to {NAME_MAX} letters, digits, - and _, such as cell-1");
-    decoder.complain_at(at, format!("{text:?} is no name of a fleet, cell or label"), help);
+    decoder.complain_at(at, format!("{text:?} is no name of a fleet, cell, label or domain"), help);
     None
 }
 
@@ -164,6 +168,8 @@ mod tests {
         assert_eq!((read.name.as_str(), read.cell.as_str(), read.replicas), ("plant", "cell-1", 1));
         assert_eq!(read.nkey.as_deref(), Some(Path::new("/etc/celld/c.nk")));
         assert_eq!((read.keep_bytes, read.keep_days), (1_000_000_000, 7.0));
+        let leaf = "{name: p, cell: c, servers: ['nats://127.0.0.1:4222'], domain: hub}";
+        assert_eq!(read_fleet(leaf).unwrap().domain.as_deref(), Some("hub"));
         let far = "{name: p, cell: c, servers: ['tls://nats.plant:4222'], keep: {gb: 0.5, days: 2}}";
         assert_eq!(read_fleet(far).unwrap().keep_bytes, 500_000_000);
     }
@@ -185,6 +191,7 @@ mod tests {
             "{name: p, cell: c, servers: ['nats://localhost']}",
             "{name: p, cell: c, servers: ['nats://localhost:+1']}",
             "{name: p, cell: c, servers: ['nats://localhost:4222'], nkey: a, credentials: b}",
+            "{name: p, cell: c, servers: ['nats://localhost:4222'], domain: 'a.b'}",
             "{name: p, cell: c}",
             "{name: p, cell: c, servers: ['nats://localhost:4222'], port: 1}",
         ] {

@@ -32,6 +32,7 @@ pub fn access(config: &FleetConfig, name: &str) -> Access {
         authority: config.authority.clone(),
         tls: config.servers.iter().any(|server| FleetConfig::is_tls(server)),
         name: name.to_string(),
+        domain: config.domain.clone(),
     }
 }
 

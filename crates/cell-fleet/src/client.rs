@@ -91,7 +91,7 @@ impl Client {
     ) -> Result<Client, ConnectFault> {
         let (events, said) = mpsc::unbounded_channel();
         let connection = connect(access, events).await?;
-        let server = open(&connection, &fleet, storage).await?;
+        let server = open(&connection, access.domain.as_deref(), &fleet, storage).await?;
         Ok(Client { fleet, user: user.to_string(), connection, server, said: Mutex::new(said) })
     }
 

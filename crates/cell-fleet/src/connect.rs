@@ -41,6 +41,8 @@ pub struct Access {
     pub tls: bool,
     /// What the server calls this connection.
     pub name: String,
+    /// The JetStream domain of the fleet's server, where the connection goes over a leaf node.
+    pub domain: Option<String>,
 }
 
 /// Why there is no connection that serves.

@@ -75,7 +75,7 @@ pub async fn keep_linked(settings: Settings, ack_wait: Duration, link: mpsc::Unb
 pub type Ready = (Client, Server, Vec<(Lane, jetstream::consumer::PullConsumer)>);
 
 async fn prepare(client: &Client, settings: &Settings, ack_wait: Duration) -> Result<Ready, ConnectFault> {
-    let server = open(client, &settings.fleet, settings.storage).await?;
+    let server = open(client, settings.access.domain.as_deref(), &settings.fleet, settings.storage).await?;
     let lanes = Lane::of_cell(&settings.cell, &settings.labels);
     let made = lanes.iter().map(|lane| consumer(&server.jobs, &settings.fleet, lane, ack_wait));
     let made = try_join_all(made).await?;

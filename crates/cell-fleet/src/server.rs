@@ -68,14 +68,22 @@ fn store_fault(what: &str, message: impl ToString) -> ConnectFault {
     ConnectFault::Store { what: what.to_string(), message: message.to_string() }
 }
 
-/// Opens what a fleet has on a server, and makes what is missing.
+/// Opens what a fleet has on a server, in a JetStream domain if one is named, and makes what is missing.
 ///
 /// # Errors
 /// The server is too old, has no JetStream, or a stream is missing and may not be made, or is another kind.
-pub async fn open(client: &Client, fleet: &Fleet, storage: Storage) -> Result<Server, ConnectFault> {
+pub async fn open(
+    client: &Client,
+    domain: Option<&str>,
+    fleet: &Fleet,
+    storage: Storage,
+) -> Result<Server, ConnectFault> {
     let info = client.server_info();
     check_version(&info.version)?;
-    let mut context = jetstream::new(client.clone());
+    let mut context = match domain {
+        Some(domain) => jetstream::with_domain(client.clone(), domain),
+        None => jetstream::new(client.clone()),
+    };
     context.set_timeout(ANSWER_WITHIN);
     context
         .query_account()

@@ -9,6 +9,8 @@
 mod bench;
 #[path = "server/documented.rs"]
 mod documented;
+#[path = "server/leaf.rs"]
+mod leaf;
 
 use bench::{Cell, STORAGE, Server, client, fleet, program, until};
 use cell_fleet::changes::Change;
@@ -299,6 +301,7 @@ fn an_old_server_is_named() {
         credentials: None,
         authority: None,
         tls: false,
+        domain: None,
         name: "test".to_string(),
     };
     let fault = runtime().block_on(Client::open(&access, fleet(), "anna", STORAGE)).err().unwrap();

@@ -118,6 +118,7 @@ async fn open(address: &str) -> Result<Client, Failure> {
         credentials: None,
         authority: None,
         tls: false,
+        domain: None,
         name: "celld fleet demo".to_string(),
     };
     let fleet = Fleet::new(FLEET).ok_or_else(|| Failure::Failed(format!("{FLEET} is no name")))?;

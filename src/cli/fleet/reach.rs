@@ -30,6 +30,9 @@ pub struct ReachArgs {
     /// Certificate authority of the server, PEM
     #[arg(long, value_name = "FILE")]
     authority: Option<PathBuf>,
+    /// JetStream domain of the fleet's server, where SERVER is a leaf node
+    #[arg(long, value_name = "NAME")]
+    domain: Option<String>,
     /// Name of the person, which the server's permissions enforce [default: that of the system]
     #[arg(long, value_name = "NAME")]
     user: Option<String>,
@@ -50,6 +53,7 @@ impl ReachArgs {
                 credentials: None,
                 nkey: None,
                 authority: None,
+                domain: None,
                 replicas: 1,
                 keep_bytes: 0,
                 keep_days: 0.0,
@@ -59,6 +63,7 @@ impl ReachArgs {
             (section.credentials, section.nkey) = (self.credentials.clone(), self.nkey.clone());
         }
         section.authority = self.authority.clone().or(section.authority);
+        section.domain = self.domain.clone().or(section.domain);
         Ok(section)
     }
 

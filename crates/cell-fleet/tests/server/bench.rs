@@ -129,6 +129,7 @@ impl Server {
             credentials,
             authority: None,
             tls: false,
+            domain: None,
             name: "test".to_string(),
         }
     }

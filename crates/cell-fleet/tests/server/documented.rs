@@ -59,6 +59,7 @@ impl Site {
             credentials: Some(Credentials::Nkey(seed)),
             authority: Some(self.folder.path().join("server.pem")),
             tls: true,
+            domain: None,
             name: "test".to_string(),
         }
     }
