@@ -3,11 +3,11 @@
 //! nothing moves by itself.
 //!
 //! In: `CELLD_KILLS=N` makes N kills of either kind instead of a few, spread over a job's time and calls (at
-//! most one after each call), and `CELLD_KILLS_CELLS=M` has M simulated cells at addresses of their own
-//! share them: they mostly wait. A library put before libc's counts the calls on files of the state folder
-//! and kills the process after one of them. Out: for each kill, that the next daemon has the job in one
-//! place, is disarmed, offers a way back where something is held, and that the job can be brought to its
-//! end.
+//! most one after each call), `CELLD_KILLS_ONLY=3,7` repeats these of them alone, and `CELLD_KILLS_CELLS=M`
+//! has M simulated cells at addresses of their own share them: they mostly wait. A library put before libc's
+//! counts the calls on files of the state folder and kills the process after one of them. Out: for each
+//! kill, that the next daemon has the job in one place, is disarmed, offers a way back where something is
+//! held, and that the job can be brought to its end.
 
 use crate::cell::{
     LOG, Running, celld, configuration, copy_calibration, result_of, start_daemon, start_daemon_with,
@@ -253,7 +253,9 @@ fn cell_daemon_killed_anywhere_in_a_job_loses_and_repeats_nothing() {
     let shares = |count: u32| (0..count).map(move |k| f64::from(2 * k + 1) / f64::from(2 * count));
     let at_calls = shares(kills.min(calls)).map(|share| When::Call((share * f64::from(calls)) as u32 + 1));
     let at_times = shares(kills).map(|share| When::After(time.mul_f64(share)));
-    let due: Vec<(usize, When)> = (1..).zip(at_calls.chain(at_times)).collect();
+    let only = stated_list("CELLD_KILLS_ONLY");
+    let all = (1..).zip(at_calls.chain(at_times));
+    let due: Vec<(usize, When)> = all.filter(|(n, _)| only.is_empty() || only.contains(n)).collect();
     let (next, killed) = (AtomicUsize::new(0), AtomicUsize::new(0));
     let work = |cell: &Cell| {
         for to_x in PLACES.into_iter().cycle().skip(1) {
@@ -278,6 +280,10 @@ fn cell_daemon_killed_anywhere_in_a_job_loses_and_repeats_nothing() {
     // The last moments of a job may be over before the kill comes.
     let killed = killed.into_inner();
     assert!(4 * killed >= 3 * due.len(), "{killed} of {} were killed", due.len());
+}
+
+fn stated_list(name: &str) -> Vec<usize> {
+    std::env::var(name).unwrap_or_default().split(',').filter_map(|text| text.trim().parse().ok()).collect()
 }
 
 fn stated(name: &str) -> Option<u32> {
