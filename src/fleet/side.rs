@@ -35,6 +35,9 @@ use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::Receiver;
 use tokio::sync::oneshot;
 
+/// A job that the journal has not ended by then waits again, s.
+const END_WITHIN_S: f64 = 60.0;
+
 /// A status, and when it was written, s since 1970.
 pub type Written = (Status, f64);
 
@@ -69,6 +72,8 @@ pub struct Side {
     handed: BTreeMap<String, Handed>,
     /// Jobs that were decided about from afar: reported already.
     decided_afar: BTreeSet<String>,
+    /// Jobs that the cell works on no longer, since when, s since 1970: the journal has their end, or will.
+    left: BTreeMap<String, f64>,
     pending: Vec<CellEvent>,
 }
 
@@ -82,6 +87,7 @@ impl Side {
             seen_unix_s: 0.0,
             handed: BTreeMap::new(),
             decided_afar: BTreeSet::new(),
+            left: BTreeMap::new(),
             pending: Vec::new(),
         }
     }
@@ -95,8 +101,12 @@ impl Side {
             for job in decided(&self.last, &status) {
                 self.decided(&job, unix_s);
             }
+            if let Some(job) = self.last.job.take_if(|job| status.job.as_ref() != Some(job)) {
+                self.left.insert(job, unix_s);
+            }
             self.last = status;
         }
+        self.ended();
         let Some(Sight { seen, unix_s, .. }) = self.daemon.feed.last_sight() else { return };
         if unix_s > self.seen_unix_s {
             self.seen_unix_s = unix_s;
@@ -104,6 +114,26 @@ impl Side {
             let residual_mm = seen.reference_residual_m.map(|residual| residual * 1e3);
             let (job, what) = (self.last.job.clone(), What::Looked { objects, residual_mm });
             self.pending.push(CellEvent { job, what, unix_s });
+        }
+    }
+
+    /// Reports the jobs that have ended, once the journal says how.
+    fn ended(&mut self) {
+        if self.left.is_empty() {
+            return;
+        }
+        let Ok(Some(journal)) = self.journal() else { return };
+        let now_s = unix_now_s();
+        let mut over = Vec::new();
+        self.left.retain(|id, left_unix_s| {
+            match journal.job(id).ok().flatten().as_ref().map(local) {
+                Some(Local::Ended(outcome)) => over.push((id.clone(), outcome, *left_unix_s)),
+                _ => return now_s - *left_unix_s < END_WITHIN_S,
+            }
+            false
+        });
+        for (job, outcome, unix_s) in over {
+            self.pending.push(CellEvent { job: Some(job), what: What::Done { outcome }, unix_s });
         }
     }
 

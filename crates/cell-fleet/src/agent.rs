@@ -59,6 +59,11 @@ impl Agent {
         self.hands.iter().filter(|(_, hand)| hand.is_held()).map(|(job, _)| job.clone()).collect()
     }
 
+    /// It has the job in hand, or has begun it once.
+    pub fn knows(&self, job: &str) -> bool {
+        self.hands.contains_key(job) || self.past.contains(job)
+    }
+
     /// What is wrong with messages it came across.
     pub fn complaints(&self) -> Vec<String> {
         self.complaints.values().cloned().collect()

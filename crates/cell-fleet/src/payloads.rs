@@ -428,7 +428,7 @@ pub enum What {
         /// How many the plan has.
         of: u32,
     },
-    /// A job of the fleet has ended.
+    /// A job has ended: of the fleet, or of the cell's own folder.
     Done {
         /// How.
         outcome: Outcome,

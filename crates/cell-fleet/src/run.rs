@@ -14,7 +14,7 @@ use crate::pull::pull;
 use crate::side::{CellEvent, CellSide, FragmentState, Settings};
 use crate::store::Store;
 use crate::subjects::RequestKind;
-use crate::values::{At, Effect, Entry, Input, Settle, Token};
+use crate::values::{At, Effect, Entry, Input, Settle, Token, ahead_s};
 use crate::watches::Followed;
 use crate::world;
 use async_nats::{Message, Subject, Subscriber, jetstream};
@@ -298,7 +298,7 @@ impl Shell {
         if (sent_unix_s - self.shown.unix_s).abs() > 1e-6 {
             return;
         }
-        self.ahead_s = sent_unix_s - stored_unix_s;
+        self.ahead_s = ahead_s(self.ahead_s, sent_unix_s, stored_unix_s, unix_now_s());
         let off = self.ahead_s.abs() > CLOCK_OFF_S;
         let side = if self.ahead_s > 0.0 { "ahead of" } else { "behind" };
         self.complain("clock", off.then(|| {
@@ -432,7 +432,11 @@ impl Shell {
     /// Looks at the cell: what happened, and how it is.
     fn look(&mut self) {
         for CellEvent { job, what, unix_s } in self.cell.events() {
-            self.note(job, what, unix_s);
+            // The end of a job of the fleet is reported with its claim.
+            let of_fleet = job.as_ref().is_some_and(|job| self.agent.knows(job));
+            if !(of_fleet && matches!(what, What::Done { .. })) {
+                self.note(job, what, unix_s);
+            }
         }
         let mut state = self.cell.state();
         self.handle(Input::Ready(state.armed && state.idle));

@@ -21,6 +21,14 @@ pub struct At {
     pub unix_s: f64,
 }
 
+/// How far the own clock is ahead of the server's, s, when something that was sent and came back was stored
+/// between the two: as it was known before, as far as that is possible. What was long on its way says little
+/// then, and does not move it.
+pub fn ahead_s(before_s: f64, sent_unix_s: f64, stored_unix_s: f64, received_unix_s: f64) -> f64 {
+    let least = sent_unix_s - stored_unix_s;
+    before_s.clamp(least, least.max(received_unix_s - stored_unix_s))
+}
+
 /// What comes of a message.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Settle {
@@ -297,5 +305,19 @@ impl Effect {
             Effect::List => Some(Input::Cells(None)),
             _ => None,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_long_on_its_way_does_not_move_the_clock() {
+        assert_eq!(ahead_s(0.0, 100.0, 102.5, 102.6), 0.0);
+        assert_eq!(ahead_s(0.0, 100.0, 160.0, 100.1), -59.9, "the server's is ahead");
+        assert_eq!(ahead_s(-59.9, 200.0, 262.0, 203.0), -59.9, "late, and no other time");
+        assert_eq!(ahead_s(0.0, 100.0, 40.0, 100.1), 60.0, "and behind");
+        assert_eq!(ahead_s(0.0, 100.0, 90.0, 50.0), 10.0, "set back on the way");
     }
 }
