@@ -15,18 +15,20 @@ mod work;
 use cell_fleet::changes::{Change, Changes};
 use cell_fleet::client::Client;
 use cell_fleet::connect::Access;
-use cell_fleet::payloads::{ClaimState, Job};
+use cell_fleet::payloads::{Claim, ClaimState, Job};
 use cell_fleet::server::Storage;
 use cell_fleet::subjects::{Fleet, Lane, Priority, Target};
 use futures_util::StreamExt;
-use futures_util::stream::FuturesUnordered;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use server::Server;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode, Stdio};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant, SystemTime};
+use tokio::sync::Semaphore;
+use tokio::task::JoinSet;
 use tokio::time::sleep;
 
 const FLEET: &str = "storm";
@@ -168,10 +170,6 @@ struct Seen {
     claims: BTreeMap<String, ClaimState>,
     /// How many of them have ended.
     over: usize,
-    /// Cells that had begun a job.
-    begun_by: BTreeMap<String, Vec<String>>,
-    /// From submission to the first claim, s.
-    claimed_after_s: Vec<f64>,
     /// When each cell showed itself last, by the server's clock.
     shown_unix_s: BTreeMap<String, f64>,
 }
@@ -181,15 +179,6 @@ impl Seen {
         match change {
             Change::Claim(claim) => {
                 let id = &claim.job.id;
-                if !self.claims.contains_key(id) {
-                    self.claimed_after_s.push(claim.unix_s - claim.job.submitted_unix_s);
-                }
-                if matches!(claim.state, ClaimState::Begun | ClaimState::Ended) && !claim.cell.is_empty() {
-                    let by = self.begun_by.entry(id.clone()).or_default();
-                    if !by.contains(&claim.cell) {
-                        by.push(claim.cell.clone());
-                    }
-                }
                 let before = self.claims.insert(id.clone(), claim.state);
                 let [was, is] = [before, Some(claim.state)].map(|state| state == Some(ClaimState::Ended));
                 self.over = self.over + usize::from(is) - usize::from(was);
@@ -197,6 +186,37 @@ impl Seen {
             Change::Cell(shown) => drop(self.shown_unix_s.insert(shown.name.clone(), shown.unix_s)),
             Change::Event(_) | Change::CellGone(_) | Change::ClaimGone(_) | Change::Ended(_) => {}
         }
+    }
+}
+
+/// What was written to claims, at the moment at which it was. (A reader of the bucket that lags sees the last
+/// of several.)
+#[derive(Default)]
+struct Writes {
+    /// From submission to the first claim, s.
+    claimed_after_s: BTreeMap<String, f64>,
+    /// Cells that had begun a job.
+    begun_by: BTreeMap<String, Vec<String>>,
+}
+
+impl Writes {
+    fn take(&mut self, claim: &Claim) {
+        let Job { id, submitted_unix_s, .. } = &claim.job;
+        self.claimed_after_s.entry(id.clone()).or_insert_with(|| now_s() - submitted_unix_s);
+        if matches!(claim.state, ClaimState::Begun | ClaimState::Ended) && !claim.cell.is_empty() {
+            let by = self.begun_by.entry(id.clone()).or_default();
+            if !by.contains(&claim.cell) {
+                by.push(claim.cell.clone());
+            }
+        }
+    }
+}
+
+/// Takes in what is written from now on.
+async fn follow_writes(client: Client, writes: Arc<Mutex<Writes>>) {
+    let mut written = std::pin::pin!(client.writes_of_claims().await.unwrap());
+    while let Some(claim) = written.next().await {
+        writes.lock().unwrap().take(&claim);
     }
 }
 
@@ -209,6 +229,7 @@ struct Storm<'o> {
     cells: Cells,
     changes: Changes,
     seen: Seen,
+    writes: Arc<Mutex<Writes>>,
     killed: usize,
     server_killed: usize,
     /// One node of several has gone.
@@ -230,6 +251,7 @@ async fn storm(options: &Options) -> bool {
         server,
         client,
         seen: Seen::default(),
+        writes: Arc::default(),
         killed: 0,
         server_killed: 0,
         away: false,
@@ -240,6 +262,7 @@ async fn storm(options: &Options) -> bool {
     }
     println!("{} cells are there; submitting {} jobs", options.cells, options.jobs);
     let begun = Instant::now();
+    tokio::spawn(follow_writes(connect(&storm.server).await, storm.writes.clone()));
     let submitting = tokio::spawn(submit(connect(&storm.server).await, options.jobs, options.pace_ms));
     let (mut before, mut at, mut longest_pause) = (0, Instant::now(), Duration::ZERO);
     while storm.seen.over < options.jobs && begun.elapsed() < MOST {
@@ -343,13 +366,17 @@ impl Storm<'_> {
         let is_lost = |number: &usize| !carried_out.contains_key(&format!("job-{number}"));
         let lost = (0..self.options.jobs).filter(is_lost).count();
         let twice = carried_out.values().filter(|count| **count > 1).count();
-        let by_two = self.seen.begun_by.values().filter(|cells| cells.len() > 1).count();
+        let writes = self.writes.lock().unwrap();
+        let by_two = writes.begun_by.values().filter(|cells| cells.len() > 1).count();
         println!("lost {lost}, carried out twice {twice}, begun by a second cell {by_two}");
-        let after = &mut self.seen.claimed_after_s;
-        after.sort_by(f64::total_cmp);
+        let mut after: Vec<(f64, &String)> =
+            writes.claimed_after_s.iter().map(|(job, s)| (*s, job)).collect();
+        after.sort_by(|a, b| a.0.total_cmp(&b.0));
         let at =
-            |share: f64| after.get((after.len() as f64 * share) as usize).copied().unwrap_or(f64::NAN) * 1e3;
+            |share: f64| after.get((after.len() as f64 * share) as usize).map_or(f64::NAN, |(s, _)| s * 1e3);
         println!("submitted to claimed: median {:.1} ms, p99 {:.1} ms", at(0.5), at(0.99));
+        let slowest = after.iter().rev().take(5).map(|(s, job)| format!("{job} {:.0} ms", s * 1e3));
+        println!("the slowest: {}", slowest.collect::<Vec<_>>().join(", "));
         lost + twice + by_two == 0
     }
 }
@@ -374,36 +401,34 @@ async fn connect(server: &Server) -> Client {
     Client::open(&access, Fleet::new(FLEET).unwrap(), "storm", storage).await.unwrap()
 }
 
-/// Submits all jobs, each again until the server has taken it.
+/// Submits all jobs, so many at once at most, each again until the server has taken it.
 async fn submit(client: Client, jobs: usize, pace_ms: u64) -> usize {
-    let lane = Lane { priority: Priority::Normal, target: Target::any() };
-    let mut on_their_way = FuturesUnordered::new();
-    let mut submitted = 0;
+    let (client, places) = (Arc::new(client), Arc::new(Semaphore::new(AT_ONCE)));
+    let mut submitting = JoinSet::new();
     for number in 0..jobs {
-        if pace_ms > 0 {
-            sleep(Duration::from_millis(pace_ms)).await;
-        }
-        let (client, lane) = (&client, &lane);
-        on_their_way.push(async move {
-            let id = format!("job-{number}");
-            let mut job = Job::new(&id, &format!("version: 1\nid: {id}\n"), now_s());
-            loop {
-                match client.submit(&job, lane).await {
-                    Ok(_) => return,
-                    // Taken before, and the answer was lost.
-                    Err(message) if message.contains("was submitted before") => return,
-                    Err(_) => sleep(Duration::from_millis(200)).await,
-                }
-                job.submitted_unix_s = now_s();
-            }
+        sleep(Duration::from_millis(pace_ms)).await;
+        let place = places.clone().acquire_owned().await.unwrap();
+        // Each a task of its own: one that waits keeps no other one waiting.
+        let client = client.clone();
+        submitting.spawn(async move {
+            submit_one(&client, number).await;
+            drop(place);
         });
-        if on_their_way.len() >= AT_ONCE {
-            on_their_way.next().await;
-            submitted += 1;
+    }
+    submitting.join_all().await.len()
+}
+
+async fn submit_one(client: &Client, number: usize) {
+    let lane = Lane { priority: Priority::Normal, target: Target::any() };
+    let id = format!("job-{number}");
+    let mut job = Job::new(&id, &format!("version: 1\nid: {id}\n"), now_s());
+    loop {
+        match client.submit(&job, &lane).await {
+            Ok(_) => return,
+            // Taken before, and the answer was lost.
+            Err(message) if message.contains("was submitted before") => return,
+            Err(_) => sleep(Duration::from_millis(200)).await,
         }
+        job.submitted_unix_s = now_s();
     }
-    while on_their_way.next().await.is_some() {
-        submitted += 1;
-    }
-    submitted
 }

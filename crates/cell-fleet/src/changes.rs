@@ -58,6 +58,17 @@ impl Client {
         ];
         Ok(Box::pin(stream::select_all(parts)))
     }
+
+    /// Each claim at the moment at which it is written, also what the next writing replaces before a reader
+    /// of the bucket came to it. What is written while the server is away from this reader is not in it.
+    ///
+    /// # Errors
+    /// What the server says.
+    pub async fn writes_of_claims(&self) -> Result<impl Stream<Item = Claim> + Send + use<>, String> {
+        let subject = format!("$KV.{}.{}", self.fleet.claims_bucket(), Key::CLAIMS);
+        let written = self.server.context.client().subscribe(subject).await.map_err(text)?;
+        Ok(written.filter_map(|message| std::future::ready(decode::<Claim>(&message.payload).ok())))
+    }
 }
 
 /// The changes of one part until it ends or fails, and that it did. Entries that are not for this reader are
