@@ -48,7 +48,7 @@ PACKAGES_BUILT := $(BUILD)/packages
 MOST_MEGABYTES := 15
 
 .PHONY: help setup clients demo try test test-cases test-clients test-clients-many test-page bench-page book bench figures
-.PHONY: fuzz fuzz-corpus bench-recording demo-fleet bench-fleet setup-fleet test-fleet test-cluster bench-cluster check-slurm tidy
+.PHONY: fuzz fuzz-corpus bench-recording demo-fleet bench-fleet bench-fleet-hour setup-fleet test-fleet test-cluster bench-cluster check-slurm tidy
 .PHONY: release install uninstall deb test-deb sim-static wheel image test-wheel test-image
 
 help:
@@ -63,6 +63,7 @@ help:
 	@echo "make bench-page                     what viewers of the page cost the loop and the processor (ten minutes)"
 	@echo "make test-fleet                     many cells against a real NATS server (installs it)"
 	@echo "make bench-fleet                    100 cells and a NATS server, all killed at random: is each job done once?"
+	@echo "make bench-fleet-hour [MINUTES=60]  a cell that is cut off from its fleet for an hour"
 	@echo "make test-cluster                   benchmarks over HyperQueue's workers on this computer (installs it)"
 	@echo "make bench-cluster                  how much quicker two of its workers are than one"
 	@echo "make check-slurm                    the same over Slurm, one node, set up for it (root; installs it)"
@@ -301,6 +302,12 @@ demo-fleet: setup setup-fleet
 # Figures, none of them judged but one: no job is lost or done twice. About ten minutes.
 bench-fleet: setup-fleet
 	cargo bench --features fleet --bench fleet_storm -- --nats $(CURDIR)/$(FLEET)/bin/nats-server $(ARGS)
+	cargo build --release --features fleet --bin celld
+	$(FLEET)/bin/python -B tests/fleet/loop_cost.py $(BUILD)/release/celld $(FLEET)/bin/nats-server
+
+bench-fleet-hour: setup-fleet
+	cargo build --release --features fleet --bin celld
+	$(FLEET)/bin/python -B tests/fleet/cut_off.py $(BUILD)/release/celld $(FLEET)/bin/nats-server $(or $(MINUTES),60)
 
 FLEET_TESTS := $(patsubst crates/cell-fleet/tests/%.rs,--test %,$(wildcard crates/cell-fleet/tests/*.rs))
 

@@ -3,6 +3,7 @@
 In: a folder, the celld binary. Out: what runs, the way to break it, and its end.
 """
 
+import http.client
 import json
 import os
 import pathlib
@@ -75,3 +76,28 @@ class Running:
         for child in self.children:
             child.send_signal(signal.SIGKILL)
             child.wait()
+
+
+def metrics(token):
+    connection = http.client.HTTPConnection(ADDRESS, 8737, timeout=10)
+    connection.request("GET", "/metrics", headers={"Authorization": f"Bearer {token}"})
+    lines = connection.getresponse().read().decode().splitlines()
+    connection.close()
+    return dict(line.rsplit(" ", 1) for line in lines if not line.startswith("#"))
+
+
+def loop_p99(token):
+    """The 99th percentile of the daemon's loop step of the last while, ms."""
+    return 1e3 * float(metrics(token)['celld_loop_step_seconds{quantile="0.99"}'])
+
+
+def processor(pid):
+    """Seconds of processor time that the process has used."""
+    fields = pathlib.Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def share(pid, seconds):
+    used, begun = processor(pid), time.monotonic()
+    time.sleep(seconds)
+    return 100 * (processor(pid) - used) / (time.monotonic() - begun)

@@ -9,7 +9,6 @@ core, without a viewer, with one page, and with one page and the film.
 import http.client
 import http.server
 import itertools
-import os
 import statistics
 import sys
 import tempfile
@@ -19,7 +18,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from running import ADDRESS, Running
+from running import ADDRESS, Running, loop_p99, share
 
 ROUNDS = int(sys.argv[2]) if len(sys.argv) > 2 else 5
 SECONDS = float(sys.argv[3]) if len(sys.argv) > 3 else 35.0
@@ -89,30 +88,6 @@ class Viewer:
     def close(self):
         self.ended = True
         self.connection.close()
-
-
-def metrics(token):
-    connection = http.client.HTTPConnection(ADDRESS, 8737, timeout=10)
-    connection.request("GET", "/metrics", headers={"Authorization": f"Bearer {token}"})
-    lines = connection.getresponse().read().decode().splitlines()
-    connection.close()
-    return dict(line.rsplit(" ", 1) for line in lines if not line.startswith("#"))
-
-
-def processor(pid):
-    """Seconds of processor time that the process has used."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def share(pid, seconds):
-    used, begun = processor(pid), time.monotonic()
-    time.sleep(seconds)
-    return 100 * (processor(pid) - used) / (time.monotonic() - begun)
-
-
-def loop_p99(token):
-    return 1e3 * float(metrics(token)['celld_loop_step_seconds{quantile="0.99"}'])
 
 
 def main():

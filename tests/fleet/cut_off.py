@@ -1,0 +1,132 @@
+"""A cell that is cut off from its fleet for long, with the real daemon, simulator and server.
+
+In: a celld binary built with the fleet, the program of a NATS server, how many minutes it is cut off. Out: that
+it finishes the job of the fleet that it had begun, does the jobs of its own folder meanwhile, and that its events
+arrive afterwards complete and in their order; its memory after the first minutes and at the end, as a figure.
+"""
+
+import collections
+import json
+import pathlib
+import re
+import subprocess
+import sys
+import tempfile
+import time
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "page"))
+
+from loop_cost import nats
+from running import Running
+
+MINUTES = float(sys.argv[3]) if len(sys.argv) > 3 else 60.0
+SWAP = "version: 1\nid: {id}\nrerun: true\ngoal: {{swap: [plank-1, plank-2]}}\n"
+FLEET = "cut-off"
+
+
+def until(what, holds, seconds=240):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if held := holds():
+            return held
+        time.sleep(0.2)
+    raise SystemExit(f"FAILED: {what}")
+
+
+class CutOff:
+    cell = None
+
+    def __init__(self, folder):
+        (folder / "cell").mkdir()
+        self.folder = folder
+        self.server, self.address = nats(sys.argv[2], folder)
+
+    def up(self):
+        self.cell = Running(self.folder / "cell", sys.argv[1])
+        self.cell.celld.terminate()
+        self.cell.celld.wait()
+        config = self.cell.folder / "config/cell.yaml"
+        text = re.sub(r"\bapproval: \w+", "approval: never", config.read_text())
+        config.write_text(text + f"\nfleet: {{name: {FLEET}, cell: cell-1, servers: ['{self.address}']}}\n")
+        self.cell.daemon()
+
+    def celld(self, *arguments):
+        done = subprocess.run([self.cell.binary, *arguments], cwd=self.cell.folder, capture_output=True, text=True)
+        assert done.returncode == 0, (arguments, done.stdout, done.stderr)
+        return done.stdout
+
+    def fleet(self, *arguments):
+        return self.celld("fleet", *arguments, "--server", self.address, "--fleet", FLEET, "--user", "anna")
+
+    def status(self):
+        return json.loads((self.cell.folder / "state/status.json").read_text())
+
+    def result(self, job):
+        found = list((self.cell.folder / "state/jobs").glob(f"*/*/{job}/result.yaml"))
+        return found and found[0].read_text()
+
+    def memory_mb(self):
+        lines = pathlib.Path(f"/proc/{self.cell.celld.pid}/status").read_text().splitlines()
+        return next(int(line.split()[1]) / 1000 for line in lines if line.startswith("VmRSS"))
+
+    def swap(self, job):
+        file = self.cell.folder / f"{job}.yaml"
+        file.write_text(SWAP.format(id=job))
+        return str(file)
+
+    def run(self):
+        self.up()
+        self.celld("arm", "--state", "state")
+        job = self.fleet("submit", self.swap("from-the-fleet")).split()[0]
+        until("the fleet's job moves something", lambda: self.status()["job"] == job and self.status()["holding"])
+        self.server.kill()
+        self.server.wait()
+        print(f"cut off with {job} under way, for {MINUTES:.0f} min", flush=True)
+        begun, number, memory = time.monotonic(), 0, []
+        until("it finishes what it began", lambda: self.result(job))
+        assert "status: done" in self.result(job), self.result(job)
+        while time.monotonic() - begun < 60 * MINUTES:
+            number += 1
+            self.celld("submit", self.swap(f"local-{number}"), "--state", "state")
+            ended = until("a job of its own folder ends", lambda: self.result(f"local-{number}"))
+            assert "status: done" in ended, ended
+            memory.append(self.memory_mb())
+        self.again(job, number)
+        assert memory, "cut off for less than a job takes"
+        early, late = max(memory[: max(1, len(memory) // 10)]), max(memory[-max(1, len(memory) // 10):])
+        print(f"figure: {number} jobs of its own done while cut off; {early:.1f} MB in the first tenth of that time, {late:.1f} MB in the last")
+
+    def again(self, job, locally):
+        """The server is back, on the same port: all that happened arrives."""
+        config = self.folder / "nats.conf"
+        port = self.address.rsplit(":", 1)[1]
+        config.write_text(config.read_text().replace(":-1", f":{port}"))
+        self.server = subprocess.Popen([sys.argv[2], "-c", config], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        back = time.monotonic()
+
+        def events():
+            done = subprocess.run([self.cell.binary, "fleet", "export", "events", "--format", "jsonl", "--server", self.address, "--fleet", FLEET],
+                                  cwd=self.cell.folder, capture_output=True, text=True)
+            return [json.loads(line) for line in done.stdout.splitlines()]
+
+        ends = lambda: collections.Counter(event["job"] for event in events() if event["kind"] == "done")
+        wanted = {job} | {f"local-{number + 1}" for number in range(locally)}
+        until("an event for the end of each job", lambda: wanted <= set(ends()))
+        assert all(count == 1 for count in ends().values()), ends()
+        numbers = [event["number"] for event in events()]
+        assert numbers == list(range(1, len(numbers) + 1)), numbers
+        assert not [event for event in events() if event["kind"] == "gap"]
+        until("the fleet knows the job's end", lambda: "ended" in self.fleet("why", job) or "done" in self.fleet("why", job))
+        print(f"figure: {len(numbers)} events arrived in their order, complete {time.monotonic() - back:.1f} s after the server was back")
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as text:
+        cut_off = CutOff(pathlib.Path(text))
+        try:
+            cut_off.run()
+        finally:
+            if cut_off.cell:
+                cut_off.cell.end()
+            cut_off.server.kill()
+            cut_off.server.wait()
