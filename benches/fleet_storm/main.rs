@@ -189,8 +189,8 @@ impl Seen {
     }
 }
 
-/// What was written to claims, at the moment at which it was. (A reader of the bucket that lags sees the last
-/// of several.)
+/// What was written to claims, at the moment at which it was: a reader of the bucket that lags sees the last
+/// of several.
 #[derive(Default)]
 struct Writes {
     /// From submission to the first claim, s.

@@ -33,10 +33,11 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::Receiver;
+use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
 
-/// A job that the journal has not ended by then waits again, s.
-const END_WITHIN_S: f64 = 60.0;
+/// A job that the journal has not ended by then waits again.
+const END_WITHIN: Duration = Duration::from_secs(60);
 
 /// A status, and when it was written, s since 1970.
 pub type Written = (Status, f64);
@@ -72,8 +73,9 @@ pub struct Side {
     handed: BTreeMap<String, Handed>,
     /// Jobs that were decided about from afar: reported already.
     decided_afar: BTreeSet<String>,
-    /// Jobs that the cell works on no longer, since when, s since 1970: the journal has their end, or will.
-    left: BTreeMap<String, f64>,
+    /// Jobs that the cell works on no longer, since when, also in s since 1970: the journal has their end,
+    /// or will.
+    left: BTreeMap<String, (Instant, f64)>,
     pending: Vec<CellEvent>,
 }
 
@@ -102,7 +104,7 @@ impl Side {
                 self.decided(&job, unix_s);
             }
             if let Some(job) = self.last.job.take_if(|job| status.job.as_ref() != Some(job)) {
-                self.left.insert(job, unix_s);
+                self.left.insert(job, (Instant::now(), unix_s));
             }
             self.last = status;
         }
@@ -123,12 +125,11 @@ impl Side {
             return;
         }
         let Ok(Some(journal)) = self.journal() else { return };
-        let now_s = unix_now_s();
         let mut over = Vec::new();
-        self.left.retain(|id, left_unix_s| {
+        self.left.retain(|id, (left, unix_s)| {
             match journal.job(id).ok().flatten().as_ref().map(local) {
-                Some(Local::Ended(outcome)) => over.push((id.clone(), outcome, *left_unix_s)),
-                _ => return now_s - *left_unix_s < END_WITHIN_S,
+                Some(Local::Ended(outcome)) => over.push((id.clone(), outcome, *unix_s)),
+                _ => return left.elapsed() < END_WITHIN,
             }
             false
         });

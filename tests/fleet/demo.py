@@ -117,6 +117,18 @@ try:
     assert recording.read_bytes()[:8] == b"\x89MCAP0\r\n" and recorded.stat().st_size >= recording.stat().st_size
     fleet("fetch", "no-such-job", code=1)
 
+    # A job of a cell's own folder has its end among the events, once, as those of the fleet have.
+    own = OUT / "own.yaml"
+    own.write_text("version: 1\nid: own\ngoal: {look: true}\n")
+    celld("submit", str(own), "--state", state("cell-2"))
+
+    def ends():
+        events = [json.loads(line) for line in fleet("export", "events", "--format", "jsonl").splitlines()]
+        return [event["job"] for event in events if event["kind"] == "done"]
+
+    ended = until("its end among the events", lambda: "own" in (found := ends()) and found)
+    assert sorted(ended) == sorted([job["id"] for job in jobs] + ["own"]), ended
+
     # A shared configuration: an armed cell waits, a disarmed one takes it and stays disarmed.
     shared = OUT / "shared.yaml"
     shared.write_text("version: 1\nlimits: {tool_speed_m_s: 1}\n")

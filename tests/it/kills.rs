@@ -256,6 +256,7 @@ fn cell_daemon_killed_anywhere_in_a_job_loses_and_repeats_nothing() {
     let only = stated_list("CELLD_KILLS_ONLY");
     let all = (1..).zip(at_calls.chain(at_times));
     let due: Vec<(usize, When)> = all.filter(|(n, _)| only.is_empty() || only.contains(n)).collect();
+    assert!(due.len() >= only.len() && !due.is_empty(), "{only:?}: not so many kills");
     let (next, killed) = (AtomicUsize::new(0), AtomicUsize::new(0));
     let work = |cell: &Cell| {
         for to_x in PLACES.into_iter().cycle().skip(1) {
@@ -283,7 +284,9 @@ fn cell_daemon_killed_anywhere_in_a_job_loses_and_repeats_nothing() {
 }
 
 fn stated_list(name: &str) -> Vec<usize> {
-    std::env::var(name).unwrap_or_default().split(',').filter_map(|text| text.trim().parse().ok()).collect()
+    let text = std::env::var(name).unwrap_or_default();
+    let numbers = text.split(',').map(str::trim).filter(|number| !number.is_empty());
+    numbers.map(|number| number.parse().unwrap_or_else(|_| panic!("{name}: {number}: a number"))).collect()
 }
 
 fn stated(name: &str) -> Option<u32> {

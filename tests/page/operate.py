@@ -186,7 +186,7 @@ def pause_and_disarm_on_the_way(page, window):
     waits, holding = page.locator("#waits"), page.locator("#holding")
     expect(waits.or_(holding).first).to_be_visible()
     if waits.is_visible():
-        page.wait_for_timeout(1000)
+        page.wait_for_timeout(2500)
         page.click("#order-approve")
 
 
@@ -290,7 +290,7 @@ def submit_again(window):
     window.picture("jobs-again")
     window.screen("live")
     window.text("main", "Job second.2")
-    page.wait_for_timeout(1000)
+    page.wait_for_timeout(2500)
     page.click("#order-cancel")
     expect(page.locator("#order-cancel")).to_be_disabled()
     window.text("#last", "second.2")

@@ -59,9 +59,9 @@ impl Agent {
         self.hands.iter().filter(|(_, hand)| hand.is_held()).map(|(job, _)| job.clone()).collect()
     }
 
-    /// It has the job in hand, or has begun it once.
-    pub fn knows(&self, job: &str) -> bool {
-        self.hands.contains_key(job) || self.past.contains(job)
+    /// It has begun the job, as one of the fleet.
+    pub fn has_begun(&self, job: &str) -> bool {
+        self.past.contains(job) || self.hands.get(job).is_some_and(|hand| hand.entry.begun_here)
     }
 
     /// What is wrong with messages it came across.

@@ -433,7 +433,7 @@ impl Shell {
     fn look(&mut self) {
         for CellEvent { job, what, unix_s } in self.cell.events() {
             // The end of a job of the fleet is reported with its claim.
-            let of_fleet = job.as_ref().is_some_and(|job| self.agent.knows(job));
+            let of_fleet = job.as_ref().is_some_and(|job| self.agent.has_begun(job));
             if !(of_fleet && matches!(what, What::Done { .. })) {
                 self.note(job, what, unix_s);
             }

@@ -106,7 +106,10 @@ impl Steward {
         if offered(claim) {
             self.busy.insert(job.clone());
             world.want(Effect::Publish(Box::new(claim.clone())));
-        } else if claim.state == ClaimState::Claimed && is_stranded(world, claim, known.unix_s) {
+        } else if claim.state == ClaimState::Claimed
+            && self.succession.is_settled(world)
+            && is_stranded(world, claim, known.unix_s)
+        {
             let next = given_on(claim, None, world.at.unix_s);
             self.write(world, next, Some(*revision));
         } else if over(claim) {

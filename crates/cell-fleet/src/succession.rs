@@ -23,8 +23,8 @@ const LIST_AGAIN: Duration = Duration::from_secs(2);
 /// A list that was not answered by then is lost.
 const LIST_LOST: Duration = Duration::from_secs(20);
 
-/// After so many lists that could not be read this cell looks after the jobs: another one that does so too
-/// does no harm, and none would.
+/// After so many lists that could not be read this cell looks after the jobs until it has one: another one
+/// that does so too does no harm, and none would.
 const LISTS_MOST: u32 = 3;
 
 /// So long after the server is back each cell that lives has shown itself: they do every five seconds.
@@ -62,7 +62,7 @@ enum Place {
 impl Succession {
     /// The connection is another one, or gone: what was followed ended with it.
     pub fn reconnected(&mut self, world: &World) {
-        self.follows = false;
+        (self.follows, self.failed) = (false, 0);
         self.due = world.at.now + FIRST_LIST;
         if !matches!(self.place, Place::Behind(_)) {
             self.place = Place::Unknown;
@@ -97,7 +97,7 @@ impl Succession {
                 }
             }
         }
-        self.place == Place::First
+        self.place == Place::First || self.failed >= LISTS_MOST
     }
 
     /// All cells were listed; false when they could not be.
@@ -108,7 +108,10 @@ impl Succession {
         if !complete {
             return self.unlisted(world);
         }
-        self.failed = 0;
+        if std::mem::take(&mut self.failed) > 0 {
+            // Who could not be listed could not show itself either.
+            self.since = Some(world.at.now);
+        }
         let earlier = world.members.keys().find(|name| **name < world.settings.cell).cloned();
         match world.before_this().or(earlier.filter(|_| !self.is_settled(world))) {
             Some(name) => self.behind(world, name),
@@ -116,7 +119,8 @@ impl Succession {
         }
     }
 
-    fn is_settled(&self, world: &World) -> bool {
+    /// Each cell that lives had the time to show itself.
+    pub fn is_settled(&self, world: &World) -> bool {
         self.since.is_some_and(|since| world.at.now.since(since) >= SHOWN_BY)
     }
 
@@ -126,13 +130,13 @@ impl Succession {
     }
 
     fn unlisted(&mut self, world: &World) {
-        self.failed += 1;
+        self.failed = self.failed.saturating_add(1);
         self.due = world.at.now + LIST_AGAIN;
-        self.place = if self.failed < LISTS_MOST { Place::Unknown } else { Place::First };
+        self.place = Place::Unknown;
     }
 
     fn behind(&mut self, world: &mut World, name: String) {
-        self.follows = true;
+        (self.follows, self.failed) = (true, 0);
         world.want(Effect::Watch(Some(name.clone())));
         self.place = Place::Behind(name);
     }
@@ -221,9 +225,12 @@ mod tests {
             assert_eq!(wanted(&mut world), [Effect::List]);
             of.listed(&mut world, false);
         }
-        // Who is seen to be before it is followed all the same.
-        world.members.clear();
         assert!(of.turn(&mut world), "no cell else may be able to list");
+        world.at.now += LIST_AGAIN;
+        assert!(of.turn(&mut world), "as long as there is no list");
+        of.listed(&mut world, true);
+        assert!(!of.turn(&mut world), "and a is before it");
+        assert_eq!(wanted(&mut world), [Effect::List, watch("a")]);
         world.connected = false;
         assert!(!of.turn(&mut world), "nor is it without a server");
     }

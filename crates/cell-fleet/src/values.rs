@@ -315,9 +315,9 @@ mod tests {
     #[test]
     fn what_was_long_on_its_way_does_not_move_the_clock() {
         assert_eq!(ahead_s(0.0, 100.0, 102.5, 102.6), 0.0);
-        assert_eq!(ahead_s(0.0, 100.0, 160.0, 100.1), -59.9, "the server's is ahead");
-        assert_eq!(ahead_s(-59.9, 200.0, 262.0, 203.0), -59.9, "late, and no other time");
-        assert_eq!(ahead_s(0.0, 100.0, 40.0, 100.1), 60.0, "and behind");
+        assert_eq!(ahead_s(0.0, 100.0, 160.0, 100.25), -59.75, "the server's is ahead");
+        assert_eq!(ahead_s(-59.75, 200.0, 262.0, 203.0), -59.75, "late, and no other time");
+        assert_eq!(ahead_s(0.0, 100.0, 40.0, 100.25), 60.0, "and behind");
         assert_eq!(ahead_s(0.0, 100.0, 90.0, 50.0), 10.0, "set back on the way");
     }
 }

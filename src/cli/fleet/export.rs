@@ -164,9 +164,12 @@ fn prometheus(cells: &[Shown], queued: usize, now: f64) -> String {
         ("idle", "gauge", "1 while nothing is to be done", |cell, _| {
             Some(f64::from(u8::from(cell.state.idle)))
         }),
-        ("jobs_done_total", "counter", "Jobs of the fleet that were done", |c, _| {
-            Some(c.state.totals.done as f64)
-        }),
+        (
+            "jobs_done_total",
+            "counter",
+            "Jobs that were done, also those of the cells' own folders",
+            |c, _| Some(c.state.totals.done as f64),
+        ),
         ("jobs_failed_total", "counter", "Jobs that ended otherwise", |c, _| {
             Some(c.state.totals.failed as f64)
         }),

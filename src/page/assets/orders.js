@@ -157,6 +157,10 @@ function shown() {
       [key, since] = [now, Infinity];
       requestAnimationFrame(() => requestAnimationFrame(() => { if (key === now) since = performance.now(); }));
     },
+    /** Another screen was shown meanwhile. */
+    anew() {
+      [key, since] = ["", Infinity];
+    },
     readAt: (event) => event.timeStamp - since >= READ_MS,
   };
 }
@@ -167,7 +171,7 @@ const [plans, jobs] = [shown(), shown()];
 function about(what, label, command, enabled, tooSoon, attributes = {}) {
   const click = (event) => (what.readAt(event) ? give(label, command) : missed(label, tooSoon));
   // A key that is held down is one press.
-  const keydown = (event) => { if (event.repeat) event.preventDefault(); };
+  const keydown = (event) => { if (event.repeat && (event.key === "Enter" || event.key === " ")) event.preventDefault(); };
   return button(label, command, enabled, { click, keydown, ...attributes });
 }
 
@@ -177,7 +181,7 @@ function approval(status) {
   plans.is(JSON.stringify([waiting, plan?.number]));
   const tooSoon = t("nothing was ordered: the plan had only just come");
   const mayApprove = may("approve");
-  const decide = (label, command) => about(plans, label, command, waiting && !state.stale && mayApprove, tooSoon, { class: waiting && command.do === "approve" ? "first" : null });
+  const decide = (label, command) => about(plans, label, command, waiting && plan && !state.stale && mayApprove, tooSoon, { class: waiting && command.do === "approve" ? "first" : null });
   return h("div", {},
     h("div", { class: "row" }, decide(t("Approve"), { do: "approve", id: waiting, plan: plan?.number }), decide(t("Reject"), { do: "reject", id: waiting })),
     waiting && h("p", { class: "note", id: "waits" }, h("strong", {}, t("Job {job} waits for approval", { job: waiting })),
@@ -202,6 +206,7 @@ function settled() {
 }
 
 export function orders() {
+  [plans, jobs].forEach((what) => what.anew());
   const body = h("div");
   const element = card(t("Orders"), body, answers, explained());
   let drawn = "";
