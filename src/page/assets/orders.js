@@ -181,9 +181,9 @@ function approval(status) {
   plans.is(JSON.stringify([waiting, plan?.number]));
   const tooSoon = t("nothing was ordered: the plan had only just come");
   const mayApprove = may("approve");
-  const decide = (label, command) => about(plans, label, command, waiting && plan && !state.stale && mayApprove, tooSoon, { class: waiting && command.do === "approve" ? "first" : null });
+  const decide = (label, command, can, attributes) => about(plans, label, command, waiting && can && !state.stale && mayApprove, tooSoon, attributes);
   return h("div", {},
-    h("div", { class: "row" }, decide(t("Approve"), { do: "approve", id: waiting, plan: plan?.number }), decide(t("Reject"), { do: "reject", id: waiting })),
+    h("div", { class: "row" }, decide(t("Approve"), { do: "approve", id: waiting, plan: plan?.number }, plan, { class: waiting ? "first" : null }), decide(t("Reject"), { do: "reject", id: waiting }, true)),
     waiting && h("p", { class: "note", id: "waits" }, h("strong", {}, t("Job {job} waits for approval", { job: waiting })),
       plan ? `; ${t("moves")}: ${plan.steps.length}` : "", plan?.preview ? ` (${t("preview from an earlier look")})` : "",
       state.me && !mayApprove ? [h("br"), t("Approving takes the role approve.")] : ""));
