@@ -439,13 +439,14 @@ release: $(if $(filter file,$(origin BINARIES)),setup)
 # Where each file goes, below $(DESTDIR). What names a path below /usr names one below $(PREFIX) then.
 SHARE = $(PREFIX)/share/celld
 DOC = $(PREFIX)/share/doc/celld
+PROGRAMS = celld celld-sim $(if $(findstring --no-default-features,$(FEATURES)),,celld-video)
 HELPERS := set-up address-filter
 EXAMPLES := cell.yaml sim.yaml calibration/sim/camera.yaml calibration/sim/hand_eye.yaml calibration/sim/table.yaml
 # Without the pages that are there for the book alone: they include others.
 BOOK_ONLY := $(addprefix docs/,SUMMARY.md architecture.md calibration-files.md contributing.md hardware.md python.md)
 PAGES = README.md ARCHITECTURE.md LICENSE-APACHE LICENSE-MIT config/README.md calibration/README.md packages/python/README.md \
         $(filter-out $(BOOK_ONLY),$(wildcard docs/*.md)) $(wildcard hardware/*.md hardware/*/*.md)
-INSTALLED = $(PREFIX)/bin/celld $(PREFIX)/bin/celld-sim \
+INSTALLED = $(addprefix $(PREFIX)/bin/,$(PROGRAMS)) \
             $(addprefix $(PREFIX)/lib/celld/,$(HELPERS)) \
             $(PREFIX)/lib/systemd/system/celld.service \
             $(PREFIX)/lib/sysusers.d/celld.conf $(PREFIX)/lib/tmpfiles.d/celld.conf \
@@ -471,10 +472,9 @@ endef
 # is in /etc/celld stays as it is; nothing is started. Builds nothing, for root has no cargo: `make release`
 # comes first.
 install:
-	@for binary in celld celld-sim; do [ -x $(BINARIES)/$$binary ] \
+	@for binary in $(PROGRAMS); do [ -x $(BINARIES)/$$binary ] \
 	  || { echo "install: no $(BINARIES)/$$binary; first: make release" >&2; exit 1; }; done
-	install -D -m 0755 $(BINARIES)/celld $(DESTDIR)$(PREFIX)/bin/celld
-	install -D -m 0755 $(BINARIES)/celld-sim $(DESTDIR)$(PREFIX)/bin/celld-sim
+	$(foreach program,$(PROGRAMS),install -D -m 0755 $(BINARIES)/$(program) $(DESTDIR)$(PREFIX)/bin/$(program);)
 	$(foreach helper,$(HELPERS),$(call placed,0755,$(UNITS)/$(helper),$(PREFIX)/lib/celld/$(helper));)
 	$(call placed,0644,$(UNITS)/celld.service,$(PREFIX)/lib/systemd/system/celld.service)
 	$(call placed,0644,$(UNITS)/celld.sysusers,$(PREFIX)/lib/sysusers.d/celld.conf)
@@ -512,13 +512,13 @@ deb: release
 	@$(call install,$(DEB_PACKAGES))
 	@umask 022; rm -rf $(STAGE); mkdir -p $(STAGE)/root/DEBIAN $(STAGE)/debian
 	@$(MAKE) --no-print-directory --silent install DESTDIR=$(STAGE)/root PREFIX=/usr BINARIES=$(BINARIES)
-	@umask 022; cd $(STAGE)/root; strip --strip-debug usr/bin/celld usr/bin/celld-sim; \
+	@umask 022; cd $(STAGE)/root; strip --strip-debug $(addprefix usr/bin/,$(PROGRAMS)); \
 	install -m 0644 $(CURDIR)/hardware/debian/copyright usr/share/doc/celld/copyright; \
 	find usr etc -type f -print0 | sort -z | xargs -0 md5sum >DEBIAN/md5sums; \
 	install -m 0644 $(CURDIR)/hardware/debian/conffiles DEBIAN; \
 	install -m 0755 $(addprefix $(CURDIR)/hardware/debian/,postinst prerm postrm) DEBIAN; \
 	printf 'Source: celld\n\nPackage: celld\nArchitecture: any\n' >../debian/control; \
-	needed=$$(cd .. && dpkg-shlibdeps -O root/usr/bin/celld root/usr/bin/celld-sim 2>shlibdeps.log) \
+	needed=$$(cd .. && dpkg-shlibdeps -O $(addprefix root/usr/bin/,$(PROGRAMS)) 2>shlibdeps.log) \
 	  || { cat ../shlibdeps.log >&2; exit 1; }; \
 	size=$$(du -sk usr etc | awk '{ sum += $$1 } END { print sum }'); \
 	sed -e "s/@VERSION@/$(VERSION)/" -e "s/@ARCHITECTURE@/$$(dpkg --print-architecture)/" -e "s/@SIZE@/$$size/" \

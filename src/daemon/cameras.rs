@@ -4,17 +4,15 @@
 //! usable pictures or reports what is wrong; and what is reported of that to the supervisor.
 
 use crate::config::cell::{CameraDevice, Devices};
-#[cfg(not(feature = "video"))]
-use crate::io::camera::UvcSettings;
 use crate::io::camera::folder::FolderCamera;
 use crate::io::camera::http::HttpCamera;
 use crate::io::camera::late::LateCamera;
 use crate::io::camera::monitored::MonitoredCamera;
 use crate::io::camera::realsense::RealSenseCamera;
 use crate::io::camera::snapshot::SnapshotCamera;
+use crate::io::camera::uvc::UvcCamera;
+use crate::io::camera::video::VideoCamera;
 use crate::io::camera::{CameraError, CameraSource, FaultKind};
-#[cfg(feature = "video")]
-use crate::io::camera::{uvc::UvcCamera, video::VideoCamera};
 use cell_machine::code::Code;
 use cell_machine::supervisor::input::CameraFault;
 use cell_vision::camera::CameraModel;
@@ -69,14 +67,8 @@ fn open_source(
             Box::new(RealSenseCamera::open(settings.clone(), CAMERA_LIMIT, lens)?)
         }
         CameraDevice::Folder { path } => Box::new(FolderCamera::open(path, lens)?),
-        #[cfg(feature = "video")]
-        CameraDevice::Uvc(settings) => Box::new(UvcCamera::open(settings.clone(), lens)?),
-        #[cfg(feature = "video")]
+        CameraDevice::Uvc(settings) => Box::new(UvcCamera::open(settings.clone(), CAMERA_LIMIT, lens)?),
         CameraDevice::Video { path } => Box::new(VideoCamera::open(path, lens)?),
-        #[cfg(not(feature = "video"))]
-        CameraDevice::Uvc(UvcSettings { device: path, .. }) | CameraDevice::Video { path } => {
-            return Err(CameraError::NotBuilt { place: path.display().to_string(), feature: "video" });
-        }
     })
 }
 

@@ -11,16 +11,13 @@ pub mod fault;
 pub mod folder;
 pub mod http;
 pub mod late;
-#[cfg(feature = "video")]
-mod mat;
 pub mod monitored;
+pub mod reader;
 pub mod realsense;
 pub mod recovery;
 pub mod snapshot;
-#[cfg(feature = "video")]
 pub mod uvc;
 pub mod validator;
-#[cfg(feature = "video")]
 pub mod video;
 
 pub use fault::{CameraError, FaultKind};

@@ -31,5 +31,7 @@ mod sim_config;
 mod slow_disk;
 mod spoilt_files;
 mod third_party;
+#[cfg(feature = "video")]
+mod videos;
 mod watchdog;
 mod ways_back;

@@ -26,9 +26,10 @@ const SCRIPTS: [&str; 5] = [
 ];
 
 /// Below the prefix, with its mode.
-const INSTALLED: [(&str, u32); 12] = [
+const INSTALLED: [(&str, u32); 13] = [
     ("bin/celld", 0o755),
     ("bin/celld-sim", 0o755),
+    ("bin/celld-video", 0o755),
     ("lib/celld/set-up", 0o755),
     ("lib/celld/address-filter", 0o755),
     ("lib/systemd/system/celld.service", 0o644),
@@ -208,7 +209,7 @@ fn scripts_are_sound_and_end_at_the_first_fault() {
 fn binaries(folder: &Path) -> PathBuf {
     let binaries = folder.join("binaries");
     std::fs::create_dir(&binaries).expect("a folder");
-    for name in ["celld", "celld-sim"] {
+    for name in ["celld", "celld-sim", "celld-video"] {
         let path = binaries.join(name);
         std::fs::write(&path, "#!/bin/sh\necho '# of no cell'\n").expect("written");
         std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).expect("executable");

@@ -306,7 +306,7 @@ pub fn belongs_to(path: &str, stem: &str) -> bool {
 
 /// The native libraries and the only places (path beginnings) that may call them.
 const NATIVE: &[(&str, &[&str])] = &[
-    ("opencv", &["crates/cell-vision/src/cv.rs", "src/io/camera"]),
+    ("opencv", &["crates/cell-vision/src/cv.rs", "src/bin/celld-video"]),
     ("libloading", &["src/io/camera/realsense/"]),
     ("apriltag", &["crates/cell-vision/src/detect.rs", "crates/cell-vision/src/detect/"]),
     ("apriltag_sys", &["crates/cell-vision/src/detect.rs", "crates/cell-vision/src/detect/"]),

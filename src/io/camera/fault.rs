@@ -288,21 +288,25 @@ pub enum CameraError {
         /// Which.
         path: PathBuf,
         /// What went wrong.
-        what: &'static str,
+        what: String,
         /// What OpenCV says, if anything.
         #[source]
         source: Option<Box<dyn std::error::Error + Send + Sync>>,
     },
-    /// A camera that this binary leaves out.
+    /// The program that reads it cannot be started.
     #[error(
-        "{place}: this celld is built without its cameras of this kind: cargo build --release --features \
-         {feature}"
+        "{place}: videos and USB cameras are read by {}, which cannot be started; `make install` puts it beside \
+         celld, `cargo build --release` makes it",
+        program.display()
     )]
-    NotBuilt {
+    NoReader {
         /// Device or file.
         place: String,
-        /// Cargo's feature that brings it.
-        feature: &'static str,
+        /// The program.
+        program: PathBuf,
+        /// What the system says.
+        #[source]
+        source: std::io::Error,
     },
 }
 
@@ -338,7 +342,7 @@ impl CameraError {
             | CameraError::NoIntrinsics { .. }
             | CameraError::OtherSerial { .. }
             | CameraError::Setting { .. }
-            | CameraError::NotBuilt { .. }
+            | CameraError::NoReader { .. }
             | CameraError::Recording { .. }
             | CameraError::RealSense { .. }
             | CameraError::File { .. }

@@ -1,20 +1,14 @@
-//! A USB camera as the kernel shows it (V4L2), read by OpenCV.
+//! A USB camera as the kernel shows it (V4L2).
 //!
 //! In: the device file, size, rate, exposure, and the lens from a calibration, for such a camera reports
 //! none. Out: frames with a count of our own and the driver's time. The driver keeps pictures until they are
 //! read; those that were exposed before a picture was requested are passed over, or a look would see the
 //! table as it was at the last one.
 
-use crate::io::camera::mat::{image_of, video_error};
+use crate::io::camera::reader::{Reader, Source};
 use crate::io::camera::validator::FrameValidator;
 use crate::io::camera::{CameraError, CameraSource, Exposure, Frame, UvcSettings};
 use cell_vision::camera::CameraModel;
-use opencv::core::{Mat, MatTraitConst};
-use opencv::videoio::{
-    CAP_PROP_AUTO_EXPOSURE, CAP_PROP_BUFFERSIZE, CAP_PROP_EXPOSURE, CAP_PROP_FPS, CAP_PROP_FRAME_HEIGHT,
-    CAP_PROP_FRAME_WIDTH, CAP_PROP_POS_MSEC, CAP_V4L2, VideoCapture, VideoCaptureTrait,
-    VideoCaptureTraitConst,
-};
 use std::os::unix::fs::FileTypeExt;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -25,39 +19,45 @@ const SYSTEM_CAMERAS: &str = "/sys/class/video4linux";
 const LASTING_NAMES: &str = "/dev/v4l/by-id";
 /// Pictures passed over at most: more than any driver keeps.
 const KEPT_MAX: u32 = 8;
-/// The driver's words for exposure by hand and by itself (V4L2_CID_EXPOSURE_AUTO).
-const EXPOSURE_MANUAL: f64 = 1.0;
-const EXPOSURE_AUTO: f64 = 3.0;
-/// A unit of its exposure, microseconds (V4L2_CID_EXPOSURE_ABSOLUTE).
-const EXPOSURE_UNIT_US: f64 = 100.0;
-
 /// A USB camera.
 #[derive(Debug)]
 pub struct UvcCamera {
     settings: UvcSettings,
-    capture: Option<VideoCapture>,
+    limit: Duration,
+    reader: Option<Reader>,
     taken: u64,
     lens: Option<CameraModel>,
     watch: FrameValidator,
 }
 
 impl UvcCamera {
-    /// Opens the device and sets it up.
+    /// Opens the device and sets it up. A picture may take `limit`.
     ///
     /// # Errors
-    /// `NotConnected` (with the cameras there are), `OtherSerial`, `Setting` for what it does not do.
-    pub fn open(settings: UvcSettings, lens: Option<CameraModel>) -> Result<UvcCamera, CameraError> {
+    /// `NotConnected` (with the cameras there are), `OtherSerial`, `Setting` for what it does not do,
+    /// `NoReader` without `celld-video`.
+    pub fn open(
+        settings: UvcSettings,
+        limit: Duration,
+        lens: Option<CameraModel>,
+    ) -> Result<UvcCamera, CameraError> {
         super::same_serial(&settings.device.display().to_string(), &settings.serial, lens.as_ref())?;
         let watch = FrameValidator::default();
-        let mut camera = UvcCamera { settings, capture: None, taken: 0, lens, watch };
+        let mut camera = UvcCamera { settings, limit, reader: None, taken: 0, lens, watch };
         camera.start()?;
         Ok(camera)
     }
 
     fn start(&mut self) -> Result<(), CameraError> {
-        self.capture = None;
+        // One process at a time has the device.
+        self.reader = None;
         check_device(&self.settings, Path::new(SYSTEM_CAMERAS), Path::new(LASTING_NAMES))?;
-        self.capture = Some(begin(&self.settings)?);
+        let UvcSettings { device: path, size, rate, exposure, .. } = self.settings.clone();
+        let exposure_us = match exposure {
+            Exposure::Auto => None,
+            Exposure::Fixed(exposure_us) => Some(exposure_us),
+        };
+        self.reader = Some(Reader::open(&Source::Device { path, size, rate, exposure_us }, self.limit)?);
         Ok(())
     }
 }
@@ -103,48 +103,6 @@ fn serial_of(device: &Path, system: &Path) -> Option<String> {
     (!serial.is_empty()).then(|| serial.to_string())
 }
 
-fn begin(settings: &UvcSettings) -> Result<VideoCapture, CameraError> {
-    let place = settings.device.display().to_string();
-    let failed =
-        |what: &'static str, source: Option<opencv::Error>| video_error(&settings.device, what, source);
-    let mut capture = VideoCapture::from_file(&settings.device, CAP_V4L2)
-        .map_err(|source| failed("OpenCV refuses the device", Some(source)))?;
-    if !capture.is_opened().unwrap_or(false) {
-        let what = "it cannot be opened: another program has it, this user may not (group video), or it \
-                    takes no pictures";
-        return Err(CameraError::Setting { place, what: what.to_string() });
-    }
-    let [width, height] = settings.size.map(f64::from);
-    let mut wanted = vec![
-        (CAP_PROP_FRAME_WIDTH, width, true, "its width is"),
-        (CAP_PROP_FRAME_HEIGHT, height, true, "its height is"),
-        (CAP_PROP_FPS, f64::from(settings.rate), true, "its rate is"),
-        // Fewer pictures to pass over where the driver allows it; nothing depends on it.
-        (CAP_PROP_BUFFERSIZE, 1.0, false, ""),
-    ];
-    match settings.exposure {
-        Exposure::Auto => wanted.push((CAP_PROP_AUTO_EXPOSURE, EXPOSURE_AUTO, false, "")),
-        Exposure::Fixed(exposure_us) => wanted.extend([
-            (CAP_PROP_AUTO_EXPOSURE, EXPOSURE_MANUAL, true, "its exposure mode is"),
-            (CAP_PROP_EXPOSURE, (exposure_us / EXPOSURE_UNIT_US).round(), true, "its exposure in 100 us is"),
-        ]),
-    }
-    for &(property, value, ..) in &wanted {
-        // Whether it took the value is checked below, when all are set: some change each other.
-        let _ = capture.set(property, value);
-    }
-    for (property, value, must, words) in wanted {
-        let found = capture.get(property).unwrap_or(f64::NAN);
-        if must && (found - value).abs() > 0.5 {
-            let what = format!(
-                "{words} {found}, {value} was asked for: ask for what `v4l2-ctl --list-formats-ext` lists"
-            );
-            return Err(CameraError::Setting { place, what });
-        }
-    }
-    Ok(capture)
-}
-
 /// Now on the clock that drivers stamp pictures with, ms.
 fn driver_now_ms() -> f64 {
     let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
@@ -171,33 +129,36 @@ impl CameraSource for UvcCamera {
     }
 
     fn grab(&mut self) -> Result<Frame, CameraError> {
-        if self.capture.is_none() {
+        if self.reader.is_none() {
             self.start()?;
         }
         let place = self.settings.device.display().to_string();
         // Exposure fits between two pictures; stamps are of its end at the latest.
         let exposure = Duration::from_secs(1) / self.settings.rate.max(1);
         let (requested, requested_ms) = (Instant::now(), driver_now_ms());
-        let mut mat = Mat::default();
         let mut passed = 0;
-        let stamp_ms = loop {
-            let Some(capture) = &mut self.capture else {
+        let (image, stamp_ms) = loop {
+            let Some(reader) = &mut self.reader else {
                 return Err(CameraError::Silent { place, limit: Duration::ZERO });
             };
-            let read = capture.read(&mut mat);
-            if !matches!(read, Ok(true)) || mat.empty() {
-                // OpenCV waits ten seconds for a driver; a camera that was pulled out fails at once.
-                self.capture = None;
-                return Err(CameraError::Silent { place, limit: requested.elapsed() });
-            }
-            let stamp_ms = stamp_of(capture.get(CAP_PROP_POS_MSEC).unwrap_or(0.0), driver_now_ms());
+            let picture = match reader.next() {
+                Ok(Some(picture)) => picture,
+                // A camera that was pulled out fails at once.
+                Ok(None) => {
+                    self.reader = None;
+                    return Err(CameraError::Silent { place, limit: requested.elapsed() });
+                }
+                Err(error) => {
+                    self.reader = None;
+                    return Err(error);
+                }
+            };
+            let stamp_ms = stamp_of(picture.time_ms, driver_now_ms());
             if is_fresh(stamp_ms, requested_ms, exposure, passed) {
-                break stamp_ms;
+                break (picture.image, stamp_ms);
             }
             passed += 1;
         };
-        let image = image_of(&mat)
-            .map_err(|source| video_error(&self.settings.device, "a frame is not 8 bit colour", source))?;
         let time_s = stamp_ms.unwrap_or(requested_ms) / 1e3;
         let frame = Frame { image, sequence: self.taken, time_s, source: place, depth: None };
         self.taken += 1;
@@ -242,19 +203,17 @@ mod tests {
         let reported = check_device(&gone, folder.path(), folder.path()).unwrap_err();
         assert!(matches!(reported, CameraError::NotConnected { .. }));
         assert!(reported.to_string().contains("usb-Other_Cam-video-index0"), "{reported}");
-        assert!(matches!(UvcCamera::open(gone, None), Err(CameraError::NotConnected { .. })));
+        let opened = UvcCamera::open(gone, Duration::from_secs(1), None);
+        assert!(matches!(opened, Err(CameraError::NotConnected { .. })));
     }
 
     #[test]
-    fn a_file_is_no_device_and_a_device_that_is_no_camera_is_refused() {
+    fn a_file_is_no_device() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("looks.avi");
         std::fs::write(&file, b"x").unwrap();
-        let reported = UvcCamera::open(settings(&file), None).unwrap_err().to_string();
-        assert!(reported.contains("kind: video"), "{reported}");
-        // A character device, but none that takes pictures.
-        let reported = UvcCamera::open(settings(Path::new("/dev/null")), None).unwrap_err();
-        assert!(reported.to_string().contains("takes no pictures"), "{reported}");
+        let reported = UvcCamera::open(settings(&file), Duration::from_secs(1), None).unwrap_err();
+        assert!(reported.to_string().contains("kind: video"), "{reported}");
     }
 
     #[test]
