@@ -2,8 +2,11 @@
 //! simulator in virtual time, without pictures, or it only takes time.
 //!
 //! In: names of jobs. Out: how each ended. The machine runs on a thread of its own, as fast as the computer
-//! allows; a cell that is killed loses it, and the next one has a table of its own.
+//! allows; a cell that is killed loses it, and the next one has a table of its own. It takes what the server
+//! and all cells' parts in the fleet leave of the processor: cells have computers of their own, and what is
+//! measured is how long the fleet takes, not how long a hundred simulations take on one.
 
+use cell_edge::priority;
 use cell_machine::orders::Order;
 use cell_machine::supervisor::order::JobOrder;
 use celld::pair::camera_view::SightKind;
@@ -103,6 +106,7 @@ impl Work for Virtual {
 
 /// A cell in virtual time: comes up, and carries out what is sent.
 fn cell(seed: u64, due: &Receiver<String>, say: &Sender<Said>) {
+    priority::idle();
     let stage = stage(seed, SightKind::Corners).unwrap();
     let mut pair = Pair::new(stage.clone(), Choice::of(seed)).unwrap();
     assert!(bring_up(&mut pair), "the cell of seed {seed} does not come up");

@@ -27,7 +27,7 @@ pub fn raise() {
 /// inherit it, and a thread that holds a lock it waits for does not. It has to sleep: nothing ordinary runs
 /// on its core before it does.
 pub fn real_time() {
-    if !schedule(ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo)) {
+    if !schedule(ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo), REAL_TIME.try_into()) {
         tracing::debug!("no real-time scheduling for this thread");
         raise();
     }
@@ -35,15 +35,23 @@ pub fn real_time() {
 
 /// Back among ordinary threads, as they are by default.
 pub fn ordinary() {
-    if !schedule(ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other)) {
+    if !schedule(ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other), REAL_TIME.try_into()) {
         tracing::debug!("thread keeps its scheduling");
     }
     change(0);
 }
 
-fn schedule(policy: ThreadSchedulePolicy) -> bool {
-    let set = ThreadPriority::try_from(REAL_TIME)
-        .map(|priority| set_thread_priority_and_policy(thread_native_id(), priority, policy));
+/// Takes what all others leave (the system's idle class), and so do the threads it starts: for work that
+/// nothing waits for.
+pub fn idle() {
+    if !schedule(ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Idle), Ok(ThreadPriority::Min)) {
+        tracing::debug!("no idle scheduling for this thread");
+        lower();
+    }
+}
+
+fn schedule(policy: ThreadSchedulePolicy, priority: Result<ThreadPriority, &'static str>) -> bool {
+    let set = priority.map(|priority| set_thread_priority_and_policy(thread_native_id(), priority, policy));
     matches!(set, Ok(Ok(())))
 }
 
@@ -51,5 +59,26 @@ fn schedule(policy: ThreadSchedulePolicy) -> bool {
 fn change(to: i32) {
     if let Err(error) = rustix::process::setpriority_process(None, to) {
         tracing::debug!(%error, to, "thread keeps its priority");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    /// The kernel's number of the calling thread's class (sched(7)): field 41 of its stat file, 39th after
+    /// the name.
+    fn class() -> u32 {
+        let stat = std::fs::read_to_string("/proc/thread-self/stat").unwrap();
+        let (_, after) = stat.rsplit_once(") ").unwrap();
+        after.split(' ').nth(38).unwrap().parse().unwrap()
+    }
+
+    #[test]
+    fn an_idle_thread_and_those_it_starts_are_in_the_idle_class() {
+        let classes = std::thread::spawn(|| {
+            super::idle();
+            [class(), std::thread::spawn(class).join().unwrap()]
+        });
+        assert_eq!(classes.join().unwrap(), [5, 5]);
+        assert_eq!(class(), 0, "others keep theirs");
     }
 }
