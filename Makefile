@@ -49,7 +49,7 @@ MOST_MEGABYTES := 15
 
 .PHONY: help setup clients demo try test test-cases test-clients test-clients-many test-page bench-page book bench figures
 .PHONY: fuzz fuzz-corpus bench-recording demo-fleet bench-fleet bench-fleet-hour setup-fleet test-fleet test-cluster bench-cluster check-slurm tidy
-.PHONY: release install uninstall deb test-deb sim-static wheel image test-wheel test-image
+.PHONY: data release install uninstall deb test-deb sim-static wheel image test-wheel test-image
 
 help:
 	@echo "make demo [ARGS='--scene planks']   a whole cell in simulation; report in ./out"
@@ -142,24 +142,25 @@ try: setup
 # Tests that read public data pass without looking at anything where there is none: that has to be seen.
 DATA := $(or $(CELLD_DATA),../shared/data)
 
+data:
+	@echo $(abspath $(DATA))
+
 # The whole cells over sockets (cell_*, robot_session) run first, four at a time: most of their time is real
-# time that passes. Beside them the unit tests get what the cells leave of the processor and no more: what
-# takes its share could hold a heartbeat up, as could what the build has left to be written to the disk.
-# Without nextest they run one after the other.
+# time that passes. Beside them what needs no time of its own gets what the cells leave of the processor and
+# no more: what takes its share could hold a heartbeat up, as could what the build has left to be written to
+# the disk. Without nextest they run one after the other.
 #
-# The unit tests of celld and of the crates that use OpenCV share a process each: one that links FFmpeg and
-# GDAL takes a tenth of a second to start. Those with the RealSense SDK do not: two of its pipelines that
-# open in one process at once corrupt its memory now and then (1 run in 25; celld has one).
-SDK := test(/realsense::tests::/)
 # All targets name the whole workspace and the one feature that is not there by default: with fewer crates or
 # features everything is built once more. What a build without the feature says, clippy reads below.
 TESTED := --workspace --features fleet
-SHARED := celld cell-calibration cell-fleet cell-machine cell-motion cell-vision vision-pictures
 CELLS := test(/(^|::)cell_/) | test(/^robot_session::/)
-UNITS_LOG := $(BUILD)/units.log
-# The cell in virtual time: a long wait for the processor changes nothing.
-LOOPS := test(/^(closed_loop|first_moves|looks|mutants|replay|sights|ways_back)::/) - ($(CELLS))
-LOOPS_LOG := $(BUILD)/loops.log
+# The cell in virtual time, and all units but those of the simulator's servers: a long wait for the processor
+# changes nothing.
+TIMELESS := (test(/^(closed_loop|first_moves|looks|mutants|replay|sights|ways_back)::/) | kind(lib) - package(ur-sim)) \
+            - ($(CELLS))
+TIMELESS_LOG := $(BUILD)/timeless.log
+# Those of `make test-clients` and `make test-fleet`.
+ELSEWHERE := test(/^third_party::/) | package(cell-fleet)
 
 # Which part of the faults and of the orders in all states is tried: any other one with another commit,
 # without git with another day.
@@ -183,16 +184,12 @@ test: setup tidy
 	  sync; \
 	  echo "cargo nextest run"; \
 	  idle="chrt --idle 0"; $$idle true 2>/dev/null || idle="nice -n 19"; \
-	  { logs=; \
-	    $$idle cargo test --quiet --no-fail-fast --features fleet $(SHARED:%=-p %) --lib -- --test-threads 2 --skip realsense::tests:: \
-	      >$(UNITS_LOG) 2>&1 || logs=$(UNITS_LOG); \
-	    $$idle cargo nextest run $(TESTED) -E '$(LOOPS)' >$(LOOPS_LOG) 2>&1 || logs="$$logs $(LOOPS_LOG)"; \
-	    [ -z "$$logs" ] || { cat $$logs; exit 1; }; } & beside=$$!; \
+	  { $$idle cargo nextest run $(TESTED) -E '$(TIMELESS) - ($(ELSEWHERE))' >$(TIMELESS_LOG) 2>&1 \
+	    || { cat $(TIMELESS_LOG); exit 1; }; } & beside=$$!; \
 	  failed=0; cargo nextest run $(TESTED) --profile cells --test-threads 4 -E '$(CELLS)' || failed=1; \
 	  wait $$beside || failed=1; \
-	  grep '^test result' $(UNITS_LOG) || true; \
-	  sed -n '/Summary/,$$p' $(LOOPS_LOG); \
-	  cargo nextest run $(TESTED) -E 'not (test(/^third_party::/) | package(cell-fleet) | $(CELLS) | $(LOOPS) | (kind(lib) & ($(foreach crate,$(SHARED),package($(crate)) |) none()) - $(SDK)))' || failed=1; \
+	  sed -n '/Summary/,$$p' $(TIMELESS_LOG); \
+	  cargo nextest run $(TESTED) -E 'not ($(ELSEWHERE) | $(CELLS) | $(TIMELESS))' || failed=1; \
 	  [ $$failed = 0 ]; \
 	else \
 	  echo "cargo test"; \

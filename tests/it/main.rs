@@ -7,6 +7,7 @@ mod book;
 mod calibration;
 mod camera_faults;
 mod cell;
+mod ci_tree;
 mod closed_loop;
 mod doctor;
 mod edit;

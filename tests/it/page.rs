@@ -57,7 +57,11 @@ impl Cell {
         let sim = start_sim(&sim);
         let daemon = start_daemon(folder.path(), &cell);
         let cell = Cell { folder, host: format!("{address}:8737"), _sim: sim, daemon };
-        wait_until("orders are taken", || celld(&["open", "--print"], cell.path()).status.success());
+        wait_until("there is a page", || celld(&["open", "--print"], cell.path()).status.success());
+        wait_until("orders are taken", || {
+            let status = std::fs::read(cell.path().join("state/status.json")).unwrap_or_default();
+            serde_json::from_slice(&status).is_ok_and(|status: Value| status["state"] != "starting")
+        });
         cell
     }
 
