@@ -159,8 +159,8 @@ CELLS := test(/(^|::)cell_/) | test(/^robot_session::/)
 TIMELESS := (test(/^(closed_loop|first_moves|looks|mutants|replay|sights|ways_back)::/) | kind(lib) - package(ur-sim)) \
             - ($(CELLS))
 TIMELESS_LOG := $(BUILD)/timeless.log
-# Those of `make test-clients` and `make test-fleet`.
-ELSEWHERE := test(/^third_party::/) | package(cell-fleet)
+# Those of `make test-clients` and those with the server of `make test-fleet`.
+ELSEWHERE := test(/^third_party::/) | package(cell-fleet) & kind(test)
 
 # Which part of the faults and of the orders in all states is tried: any other one with another commit,
 # without git with another day.
@@ -298,7 +298,7 @@ demo-fleet: setup setup-fleet
 
 # Figures, none of them judged but one: no job is lost or done twice. About ten minutes.
 bench-fleet: setup-fleet
-	cargo bench --features fleet --bench fleet_storm -- --nats $(CURDIR)/$(FLEET)/bin/nats-server $(ARGS)
+	cargo bench --features fleet --bench fleet_storm -- --nats $(FLEET)/bin/nats-server $(ARGS)
 	cargo build --release --features fleet --bin celld
 	$(FLEET)/bin/python -B tests/fleet/loop_cost.py $(BUILD)/release/celld $(FLEET)/bin/nats-server
 
@@ -436,14 +436,16 @@ release: $(if $(filter file,$(origin BINARIES)),setup)
 # Where each file goes, below $(DESTDIR). What names a path below /usr names one below $(PREFIX) then.
 SHARE = $(PREFIX)/share/celld
 DOC = $(PREFIX)/share/doc/celld
-PROGRAMS = celld celld-sim $(if $(findstring --no-default-features,$(FEATURES)),,celld-video)
+# celld-video where it was built: not without the feature `video`.
+PROGRAMS := celld celld-sim
+BUILT = $(PROGRAMS) $(notdir $(wildcard $(BINARIES)/celld-video))
 HELPERS := set-up address-filter
 EXAMPLES := cell.yaml sim.yaml calibration/sim/camera.yaml calibration/sim/hand_eye.yaml calibration/sim/table.yaml
 # Without the pages that are there for the book alone: they include others.
 BOOK_ONLY := $(addprefix docs/,SUMMARY.md architecture.md calibration-files.md contributing.md hardware.md python.md)
 PAGES = README.md ARCHITECTURE.md LICENSE-APACHE LICENSE-MIT config/README.md calibration/README.md packages/python/README.md \
         $(filter-out $(BOOK_ONLY),$(wildcard docs/*.md)) $(wildcard hardware/*.md hardware/*/*.md)
-INSTALLED = $(addprefix $(PREFIX)/bin/,$(PROGRAMS)) \
+INSTALLED = $(addprefix $(PREFIX)/bin/,$(PROGRAMS) celld-video) \
             $(addprefix $(PREFIX)/lib/celld/,$(HELPERS)) \
             $(PREFIX)/lib/systemd/system/celld.service \
             $(PREFIX)/lib/sysusers.d/celld.conf $(PREFIX)/lib/tmpfiles.d/celld.conf \
@@ -471,7 +473,7 @@ endef
 install:
 	@for binary in $(PROGRAMS); do [ -x $(BINARIES)/$$binary ] \
 	  || { echo "install: no $(BINARIES)/$$binary; first: make release" >&2; exit 1; }; done
-	$(foreach program,$(PROGRAMS),install -D -m 0755 $(BINARIES)/$(program) $(DESTDIR)$(PREFIX)/bin/$(program);)
+	$(foreach program,$(BUILT),install -D -m 0755 $(BINARIES)/$(program) $(DESTDIR)$(PREFIX)/bin/$(program);)
 	$(foreach helper,$(HELPERS),$(call placed,0755,$(UNITS)/$(helper),$(PREFIX)/lib/celld/$(helper));)
 	$(call placed,0644,$(UNITS)/celld.service,$(PREFIX)/lib/systemd/system/celld.service)
 	$(call placed,0644,$(UNITS)/celld.sysusers,$(PREFIX)/lib/sysusers.d/celld.conf)
@@ -509,13 +511,13 @@ deb: release
 	@$(call install,$(DEB_PACKAGES))
 	@umask 022; rm -rf $(STAGE); mkdir -p $(STAGE)/root/DEBIAN $(STAGE)/debian
 	@$(MAKE) --no-print-directory --silent install DESTDIR=$(STAGE)/root PREFIX=/usr BINARIES=$(BINARIES)
-	@umask 022; cd $(STAGE)/root; strip --strip-debug $(addprefix usr/bin/,$(PROGRAMS)); \
+	@umask 022; cd $(STAGE)/root; strip --strip-debug $(addprefix usr/bin/,$(BUILT)); \
 	install -m 0644 $(CURDIR)/hardware/debian/copyright usr/share/doc/celld/copyright; \
 	find usr etc -type f -print0 | sort -z | xargs -0 md5sum >DEBIAN/md5sums; \
 	install -m 0644 $(CURDIR)/hardware/debian/conffiles DEBIAN; \
 	install -m 0755 $(addprefix $(CURDIR)/hardware/debian/,postinst prerm postrm) DEBIAN; \
 	printf 'Source: celld\n\nPackage: celld\nArchitecture: any\n' >../debian/control; \
-	needed=$$(cd .. && dpkg-shlibdeps -O $(addprefix root/usr/bin/,$(PROGRAMS)) 2>shlibdeps.log) \
+	needed=$$(cd .. && dpkg-shlibdeps -O $(addprefix root/usr/bin/,$(BUILT)) 2>shlibdeps.log) \
 	  || { cat ../shlibdeps.log >&2; exit 1; }; \
 	size=$$(du -sk usr etc | awk '{ sum += $$1 } END { print sum }'); \
 	sed -e "s/@VERSION@/$(VERSION)/" -e "s/@ARCHITECTURE@/$$(dpkg --print-architecture)/" -e "s/@SIZE@/$$size/" \

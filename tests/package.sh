@@ -91,6 +91,7 @@ installed() {
   holds "a manual page of every command" test -s /usr/share/man/man1/celld-plan.1
   holds "completions of bash" bash -c 'source /usr/share/bash-completion/completions/celld'
   holds "the simulator" quietly celld-sim --help
+  holds "the reader of videos, with its libraries" test "$(celld-video --help 2>/dev/null; echo $?)" = 2
   holds "the first configuration is sound" quietly celld check /etc/celld/cell.yaml
   holds "the examples are sound" quietly celld check /usr/share/celld/examples/{cell,sim}.yaml
   holds "the address filter is that of the configuration" /usr/lib/celld/address-filter check

@@ -2,9 +2,9 @@
 //! simulator in virtual time, without pictures, or it only takes time.
 //!
 //! In: names of jobs. Out: how each ended. The machine runs on a thread of its own, as fast as the computer
-//! allows; a cell that is killed loses it, and the next one has a table of its own. It takes what the server
-//! and all cells' parts in the fleet leave of the processor: cells have computers of their own, and what is
-//! measured is how long the fleet takes, not how long a hundred simulations take on one.
+//! allows; a cell that is killed loses it, and the next one has a table of its own. The machine takes what
+//! the server and all cells' parts in the fleet leave of the processor: cells have computers of their own,
+//! and what is measured is how long the fleet takes, not how long a hundred simulations take on one.
 
 use cell_edge::priority;
 use cell_machine::orders::Order;

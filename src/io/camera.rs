@@ -12,13 +12,14 @@ pub mod folder;
 pub mod http;
 pub mod late;
 pub mod monitored;
-pub mod reader;
+mod reader;
 pub mod realsense;
 pub mod recovery;
 pub mod snapshot;
 pub mod uvc;
 pub mod validator;
 pub mod video;
+pub mod wire;
 
 pub use fault::{CameraError, FaultKind};
 

@@ -96,6 +96,8 @@ fn the_unit_has_what_the_daemon_rests_on() {
         ("StateDirectoryMode", "2750"),
         ("ConfigurationDirectory", "celld"),
         ("KillSignal", "SIGTERM"),
+        ("KillMode", "mixed"),
+        ("OOMPolicy", "continue"),
         ("Restart", "on-failure"),
         ("RestartPreventExitStatus", "2"),
         ("SuccessExitStatus", "130 75"),
@@ -199,9 +201,10 @@ fn scripts_are_sound_and_end_at_the_first_fault() {
         let run = Command::new("sh").arg("-n").arg(&path).output().expect("a shell");
         assert!(run.status.success(), "{script}: {}", said(&run));
     }
-    if let Some(bash) = program("bash", "the syntax of tests/package.sh") {
-        let run = Command::new(bash).arg("-n").arg(root().join("tests/package.sh")).output().expect("bash");
-        assert!(run.status.success(), "{}", said(&run));
+    let Some(bash) = program("bash", "the syntax of scripts for it") else { return };
+    for script in ["tests/package.sh", ".ci/run", ".ci/tree"] {
+        let run = Command::new(&bash).arg("-n").arg(root().join(script)).output().expect("bash");
+        assert!(run.status.success(), "{script}: {}", said(&run));
     }
 }
 

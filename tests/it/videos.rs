@@ -92,19 +92,48 @@ fn program() -> Child {
 }
 
 #[test]
-fn the_program_ends_with_its_input() {
+fn the_program_answers_what_was_requested_and_ends_with_its_input() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut child = program();
     let mut requests = child.stdin.take().expect("a pipe");
-    let mut replies = BufReader::new(child.stdout.take().expect("a pipe"));
-    writeln!(requests, r#"{{"video":{{"path":{:?}}}}}"#, video(folder.path())).expect("written");
-    let mut line = String::new();
-    replies.read_line(&mut line).expect("a line");
-    assert_eq!(line, "\"open\"\n");
-    // The answer is not read, and celld is gone.
-    writeln!(requests, r#""next""#).expect("written");
+    let path = video(folder.path());
+    write!(requests, "{{\"video\":{{\"path\":{path:?}}}}}\n\"grab\"\n").expect("written");
     drop(requests);
+    let mut said = String::new();
+    child.stdout.take().expect("a pipe").read_to_string(&mut said).expect("text");
+    assert_eq!(said, "{\"open\":{\"wire\":1}}\n{\"grabbed\":{\"time_ms\":0.0}}\n");
     assert!(child.wait().expect("it ends").success());
+}
+
+/// How far a process goes after others.
+fn nice_of(process: u32) -> i32 {
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).expect("a process");
+    let (_, after) = stat.rsplit_once(") ").expect("a name");
+    after.split(' ').nth(16).and_then(|nice| nice.parse().ok()).expect("field 19 of proc_pid_stat(5)")
+}
+
+#[test]
+fn it_goes_after_whoever_started_it() {
+    let mut child = program();
+    let mut replies = BufReader::new(child.stdout.take().expect("a pipe"));
+    let mut requests = child.stdin.take().expect("a pipe");
+    writeln!(requests, "{{\"video\":{{\"path\":\"none\"}}}}").expect("written");
+    replies.read_line(&mut String::new()).expect("a line");
+    // It may have ended: a process that is not waited for keeps its entry.
+    assert_eq!(nice_of(child.id()), 10);
+    drop(requests);
+    child.wait().expect("it ends");
+}
+
+#[test]
+fn celld_does_not_link_what_reads_videos() {
+    let links = |program: &str| {
+        let bytes = std::fs::read(program).expect("a program");
+        let name = b"libopencv_videoio.so";
+        bytes.windows(name.len()).any(|part| part[0] == name[0] && part == name)
+    };
+    assert!(!links(env!("CARGO_BIN_EXE_celld")));
+    assert!(links(env!("CARGO_BIN_EXE_celld-video")));
 }
 
 #[test]

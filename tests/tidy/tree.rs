@@ -23,7 +23,7 @@ const TEXT_ENDINGS: &[&str] = &[
     "rs", "md", "toml", "yaml", "yml", "json", "script", "sh", "service", "txt", "html", "css", "js", "sql",
     "hex",
 ];
-const TEXT_NAMES: &[&str] = &["Makefile", "run", ".gitignore"];
+const TEXT_NAMES: &[&str] = &["Makefile", "run", "tree", ".gitignore"];
 /// Build output, run output, and what other tools keep in the folder.
 const SKIPPED: &[&str] = &["target", ".git", "state", "out", "proptest-regressions"];
 

@@ -3,7 +3,7 @@
 //! In: what is to be read. Out: replies of the wire, with the pixels of pictures. Of the readers of videos
 //! only FFmpeg's is used: the others guess at file names and write their guesses to the log.
 
-use celld::io::camera::reader::{Reply, Source};
+use crate::wire::{Reply, Source};
 use opencv::core::{Mat, MatTraitConst, MatTraitConstManual};
 use opencv::videoio::{
     CAP_FFMPEG, CAP_PROP_AUTO_EXPOSURE, CAP_PROP_BUFFERSIZE, CAP_PROP_EXPOSURE, CAP_PROP_FPS,
@@ -46,20 +46,26 @@ impl Capture {
         }
     }
 
-    /// The next picture, with its pixels.
-    pub fn next(&mut self) -> (Reply, Vec<u8>) {
-        let mut mat = Mat::default();
-        match self.capture.read(&mut mat) {
-            Ok(true) if !mat.empty() => {}
-            Err(error) if self.is_video => {
-                return (failed("a frame cannot be decoded", Some(&error)), Vec::new());
-            }
+    /// Takes the next picture.
+    pub fn grab(&mut self) -> Reply {
+        match self.capture.grab() {
+            Ok(true) => Reply::Grabbed { time_ms: self.time_ms() },
+            Err(error) if self.is_video => failed("a frame cannot be read", Some(&error)),
             // OpenCV waits ten seconds for a driver; a camera that was pulled out fails at once.
-            Ok(_) | Err(_) => return (Reply::End, Vec::new()),
+            Ok(false) | Err(_) => Reply::End,
         }
-        match picture(&mat, self.time_ms()) {
-            Ok(picture) => picture,
-            Err(reply) => (reply, Vec::new()),
+    }
+
+    /// The last picture, with its pixels.
+    ///
+    /// # Errors
+    /// The reply that says why there is none.
+    pub fn picture(&mut self) -> Result<(Reply, Vec<u8>), Reply> {
+        let mut mat = Mat::default();
+        match self.capture.retrieve(&mut mat, 0) {
+            Ok(true) if !mat.empty() => picture(&mat),
+            Ok(_) => Err(failed("a frame cannot be decoded", None)),
+            Err(error) => Err(failed("a frame cannot be decoded", Some(&error))),
         }
     }
 
@@ -78,7 +84,7 @@ fn setting(what: impl Into<String>) -> Reply {
 }
 
 /// OpenCV's blue, green, red in our order.
-fn picture(mat: &Mat, time_ms: f64) -> Result<(Reply, Vec<u8>), Reply> {
+fn picture(mat: &Mat) -> Result<(Reply, Vec<u8>), Reply> {
     if mat.typ() != opencv::core::CV_8UC3 || !mat.is_continuous() {
         return Err(failed("a frame is not 8 bit colour", None));
     }
@@ -86,7 +92,7 @@ fn picture(mat: &Mat, time_ms: f64) -> Result<(Reply, Vec<u8>), Reply> {
     let bytes = mat.data_bytes().map_err(|error| no_pixels(&error))?;
     let pixels = bytes.chunks_exact(3).flat_map(|p| [p[2], p[1], p[0]]).collect();
     match (u32::try_from(mat.cols()), u32::try_from(mat.rows())) {
-        (Ok(width), Ok(height)) => Ok((Reply::Picture { width, height, time_ms }, pixels)),
+        (Ok(width), Ok(height)) => Ok((Reply::Picture { width, height }, pixels)),
         _ => Err(failed("a frame has no size", None)),
     }
 }

@@ -1,18 +1,25 @@
 //! `celld-video`: reads videos and USB cameras for celld, with OpenCV.
 //!
-//! In: requests, a line each, on standard input. Out: replies on standard output, as in
-//! [`celld::io::camera::reader`]. It ends with its input: celld is gone then, and the camera is free for the
-//! next one, also while a driver blocks.
+//! In: requests, a line each, on standard input. Out: replies on standard output, both as in [`wire`]. It
+//! ends with its input: celld is gone then, and the camera is free for the next one, also while a driver
+//! blocks.
 
 mod capture;
+#[path = "../../io/camera/wire.rs"]
+mod wire;
 
 use capture::Capture;
-use celld::io::camera::reader::{Reply, Request, Source};
+use rustix::process::{Signal, getpid, kill_process};
 use serde::de::DeserializeOwned;
 use std::fs::File;
 use std::io::{BufRead, BufWriter, Write};
 use std::process::ExitCode;
 use std::sync::mpsc::{Receiver, sync_channel};
+use std::time::Duration;
+use wire::{Reply, Request, Source, WIRE};
+
+/// Time to answer what was requested before the input ended.
+const END_LIMIT: Duration = Duration::from_secs(1);
 
 fn main() -> ExitCode {
     if std::env::args_os().len() > 1 {
@@ -22,6 +29,8 @@ fn main() -> ExitCode {
         );
         return ExitCode::from(2);
     }
+    // Whoever starts it may go before other threads, as the robot's loop does; pictures do not.
+    cell_edge::priority::lower();
     match replies().and_then(|mut replies| serve(&requests(), &mut replies)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
@@ -45,10 +54,13 @@ fn requests() -> Receiver<String> {
         for line in std::io::stdin().lock().lines() {
             let Ok(line) = line else { break };
             if send.send(line).is_err() {
-                break;
+                return;
             }
         }
-        std::process::exit(0)
+        drop(send);
+        std::thread::sleep(END_LIMIT);
+        // Without what a library does at an orderly end: its driver blocks.
+        let _ = kill_process(getpid(), Signal::KILL);
     });
     requests
 }
@@ -59,15 +71,14 @@ fn serve(requests: &Receiver<String>, replies: &mut impl Write) -> std::io::Resu
         Ok(capture) => capture,
         Err(failed) => return reply(replies, &failed, &[]),
     };
-    reply(replies, &Reply::Open, &[])?;
+    reply(replies, &Reply::Open { wire: WIRE }, &[])?;
     while let Ok(line) = requests.recv() {
-        match parsed::<Request>(&line) {
-            Ok(Request::Next) => {
-                let (answer, pixels) = capture.next();
-                reply(replies, &answer, &pixels)?;
-            }
-            Err(failed) => reply(replies, &failed, &[])?,
-        }
+        let (answer, pixels) = match parsed::<Request>(&line) {
+            Ok(Request::Grab) => (capture.grab(), Vec::new()),
+            Ok(Request::Picture) => capture.picture().unwrap_or_else(|failed| (failed, Vec::new())),
+            Err(failed) => (failed, Vec::new()),
+        };
+        reply(replies, &answer, &pixels)?;
     }
     Ok(())
 }
@@ -75,7 +86,7 @@ fn serve(requests: &Receiver<String>, replies: &mut impl Write) -> std::io::Resu
 fn parsed<T: DeserializeOwned>(line: &str) -> Result<T, Reply> {
     serde_json::from_str(line).map_err(|error| Reply::Failed {
         what: "celld-video does not know this request: it is of another version than celld".into(),
-        setting: false,
+        setting: true,
         cause: Some(error.to_string()),
     })
 }

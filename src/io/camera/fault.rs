@@ -7,6 +7,7 @@ use crate::io::camera::realsense::sdk::SdkError;
 use cell_values::image::ImageError;
 use cell_values::image::quality::PictureFault;
 use cell_vision::camera::CameraModelError;
+use rustix::io::Errno;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -282,8 +283,8 @@ pub enum CameraError {
         /// Frames it gave.
         frames: u64,
     },
-    /// A video that cannot be opened or decoded.
-    #[error("video {} cannot be read: {what}", path.display())]
+    /// A video or USB camera that cannot be opened or decoded.
+    #[error("{} cannot be read: {what}", path.display())]
     Video {
         /// Which.
         path: PathBuf,
@@ -295,8 +296,8 @@ pub enum CameraError {
     },
     /// The program that reads it cannot be started.
     #[error(
-        "{place}: videos and USB cameras are read by {}, which cannot be started; `make install` puts it beside \
-         celld, `cargo build --release` makes it",
+        "{place}: videos and USB cameras are read by {}, which cannot be started; it comes with celld and belongs \
+         beside it (`cargo build` makes both)",
         program.display()
     )]
     NoReader {
@@ -331,6 +332,7 @@ impl CameraError {
             | CameraError::Picture { .. }
             | CameraError::Time { .. }
             | CameraError::Video { .. } => FaultKind::Broken,
+            CameraError::NoReader { source, .. } if is_short_of_means(source) => FaultKind::Unplugged,
             CameraError::Unusable { fault, .. } => match fault {
                 PictureFault::Dark { .. } => FaultKind::Dark,
                 PictureFault::Overexposed { .. } => FaultKind::Overexposed,
@@ -350,5 +352,26 @@ impl CameraError {
             CameraError::EndOfRecording { .. } => FaultKind::Ended,
             CameraError::GivenUp { last, .. } => last.kind(),
         }
+    }
+}
+
+/// True where the system could not start a process now and may do so later.
+fn is_short_of_means(error: &std::io::Error) -> bool {
+    let short = [Errno::AGAIN, Errno::NOMEM, Errno::NFILE, Errno::MFILE];
+    short.iter().any(|errno| error.raw_os_error() == Some(errno.raw_os_error()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_process_that_could_not_be_started_now_is_tried_again_and_a_missing_program_is_not() {
+        let kind = |errno: Errno| {
+            let (place, program) = ("looks.avi".to_string(), "/usr/bin/celld-video".into());
+            CameraError::NoReader { place, program, source: errno.into() }.kind()
+        };
+        assert_eq!([Errno::MFILE, Errno::AGAIN].map(kind), [FaultKind::Unplugged; 2]);
+        assert_eq!([Errno::NOENT, Errno::ACCESS].map(kind), [FaultKind::Misfit; 2]);
     }
 }

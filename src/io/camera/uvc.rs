@@ -5,9 +5,11 @@
 //! read; those that were exposed before a picture was requested are passed over, or a look would see the
 //! table as it was at the last one.
 
-use crate::io::camera::reader::{Reader, Source};
+use crate::io::camera::reader::Reader;
 use crate::io::camera::validator::FrameValidator;
+use crate::io::camera::wire::Source;
 use crate::io::camera::{CameraError, CameraSource, Exposure, Frame, UvcSettings};
+use cell_values::image::Image;
 use cell_vision::camera::CameraModel;
 use std::os::unix::fs::FileTypeExt;
 use std::path::Path;
@@ -19,6 +21,7 @@ const SYSTEM_CAMERAS: &str = "/sys/class/video4linux";
 const LASTING_NAMES: &str = "/dev/v4l/by-id";
 /// Pictures passed over at most: more than any driver keeps.
 const KEPT_MAX: u32 = 8;
+
 /// A USB camera.
 #[derive(Debug)]
 pub struct UvcCamera {
@@ -35,7 +38,7 @@ impl UvcCamera {
     ///
     /// # Errors
     /// `NotConnected` (with the cameras there are), `OtherSerial`, `Setting` for what it does not do,
-    /// `NoReader` without `celld-video`.
+    /// `Video` and `Silent` where it does not answer, `NoReader` without `celld-video`.
     pub fn open(
         settings: UvcSettings,
         limit: Duration,
@@ -122,6 +125,25 @@ fn is_fresh(stamp_ms: Option<f64>, requested_ms: f64, exposure: Duration, passed
     passed >= KEPT_MAX || stamp_ms.is_some_and(|stamp_ms| stamp_ms - exposure_ms >= requested_ms)
 }
 
+impl UvcCamera {
+    /// The first picture of those that come which was exposed after `requested_ms`, and its stamp.
+    fn fresh(&self, reader: &mut Reader, requested_ms: f64) -> Result<(Image, Option<f64>), CameraError> {
+        // Exposure fits between two pictures; stamps are of its end at the latest.
+        let exposure = Duration::from_secs(1) / self.settings.rate.max(1);
+        let requested = Instant::now();
+        for passed in 0.. {
+            // A camera that was pulled out fails at once.
+            let Some(time_ms) = reader.grab()? else { break };
+            let stamp_ms = stamp_of(time_ms, driver_now_ms());
+            if is_fresh(stamp_ms, requested_ms, exposure, passed) {
+                return Ok((reader.picture()?, stamp_ms));
+            }
+        }
+        let place = self.settings.device.display().to_string();
+        Err(CameraError::Silent { place, limit: requested.elapsed() })
+    }
+}
+
 impl CameraSource for UvcCamera {
     fn intrinsics(&mut self) -> Result<CameraModel, CameraError> {
         let place = || self.settings.device.display().to_string();
@@ -133,32 +155,13 @@ impl CameraSource for UvcCamera {
             self.start()?;
         }
         let place = self.settings.device.display().to_string();
-        // Exposure fits between two pictures; stamps are of its end at the latest.
-        let exposure = Duration::from_secs(1) / self.settings.rate.max(1);
-        let (requested, requested_ms) = (Instant::now(), driver_now_ms());
-        let mut passed = 0;
-        let (image, stamp_ms) = loop {
-            let Some(reader) = &mut self.reader else {
-                return Err(CameraError::Silent { place, limit: Duration::ZERO });
-            };
-            let picture = match reader.next() {
-                Ok(Some(picture)) => picture,
-                // A camera that was pulled out fails at once.
-                Ok(None) => {
-                    self.reader = None;
-                    return Err(CameraError::Silent { place, limit: requested.elapsed() });
-                }
-                Err(error) => {
-                    self.reader = None;
-                    return Err(error);
-                }
-            };
-            let stamp_ms = stamp_of(picture.time_ms, driver_now_ms());
-            if is_fresh(stamp_ms, requested_ms, exposure, passed) {
-                break (picture.image, stamp_ms);
-            }
-            passed += 1;
+        let Some(mut reader) = self.reader.take() else {
+            return Err(CameraError::Silent { place, limit: Duration::ZERO });
         };
+        let requested_ms = driver_now_ms();
+        let (image, stamp_ms) = self.fresh(&mut reader, requested_ms)?;
+        // One that failed is started anew.
+        self.reader = Some(reader);
         let time_s = stamp_ms.unwrap_or(requested_ms) / 1e3;
         let frame = Frame { image, sequence: self.taken, time_s, source: place, depth: None };
         self.taken += 1;
@@ -229,6 +232,45 @@ mod tests {
         assert!(check().is_ok());
         std::fs::write(usb.join("serial"), "B2\n").unwrap();
         assert!(matches!(check(), Err(CameraError::OtherSerial { found, .. }) if found == "B2"));
+    }
+
+    /// A camera whose pictures come from a script; their red is their number.
+    fn scripted(script: &str) -> UvcCamera {
+        let open = "n=0; echo '{\"open\":{\"wire\":1}}'";
+        let reader = Reader::scripted(&format!("{open}\n{script}"), Duration::from_secs(20)).unwrap();
+        let (settings, limit) = (settings(Path::new("/dev/none")), Duration::from_secs(20));
+        let watch = FrameValidator::default();
+        UvcCamera { settings, limit, reader: Some(reader), taken: 0, lens: None, watch }
+    }
+
+    #[test]
+    fn what_the_driver_kept_is_passed_over_without_its_pixels() {
+        let mut camera = scripted(
+            "while read request; do case $request in
+               *grab*) n=$((n + 1)); echo '{\"grabbed\":{\"time_ms\":0}}' ;;
+               *) echo '{\"picture\":{\"width\":1,\"height\":1}}'; printf \"\\\\$(printf %03o $n)bc\" ;;
+             esac; done",
+        );
+        for look in 1..=2 {
+            let frame = camera.grab().unwrap();
+            assert_eq!(frame.image.pixel(0, 0), Some([look * (KEPT_MAX as u8 + 1), b'b', b'c']));
+            assert_eq!(frame.sequence, u64::from(look) - 1);
+        }
+    }
+
+    #[test]
+    fn a_camera_that_gives_nothing_or_whose_reader_ended_is_started_anew() {
+        for (script, silent) in [("read request; echo '\"end\"'; read never", true), ("read request", false)]
+        {
+            let mut camera = scripted(script);
+            let error = camera.grab().unwrap_err();
+            assert_eq!(matches!(error, CameraError::Silent { .. }), silent, "{error}");
+            assert!(camera.reader.is_none());
+            assert!(
+                matches!(camera.grab(), Err(CameraError::NotConnected { .. })),
+                "there is no such device"
+            );
+        }
     }
 
     #[test]

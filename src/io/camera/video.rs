@@ -3,8 +3,9 @@
 //! In: a file and the lens it was taken with. Out: frames numbered from 0 with the file's own time stamps.
 //! Compressed video blurs corners: good for trying things out, not for measuring.
 
-use crate::io::camera::reader::{Reader, Source};
+use crate::io::camera::reader::Reader;
 use crate::io::camera::validator::FrameValidator;
+use crate::io::camera::wire::Source;
 use crate::io::camera::{CameraError, CameraSource, Frame};
 use cell_vision::camera::CameraModel;
 use std::path::{Path, PathBuf};
@@ -34,6 +35,18 @@ impl VideoCamera {
         let reader = Reader::open(&Source::Video { path: path.to_owned() }, LIMIT)?;
         Ok(VideoCamera { path: path.to_owned(), reader, next: 0, lens, watch: FrameValidator::default() })
     }
+
+    /// A file is not unplugged.
+    fn in_time(&self, error: CameraError) -> CameraError {
+        match error {
+            CameraError::Silent { limit, .. } => CameraError::Video {
+                path: self.path.clone(),
+                what: format!("a frame was not decoded within {limit:?}"),
+                source: None,
+            },
+            other => other,
+        }
+    }
 }
 
 impl CameraSource for VideoCamera {
@@ -44,11 +57,12 @@ impl CameraSource for VideoCamera {
 
     fn grab(&mut self) -> Result<Frame, CameraError> {
         let source = self.path.display().to_string();
-        let Some(picture) = self.reader.next()? else {
+        let Some(time_ms) = self.reader.grab().map_err(|error| self.in_time(error))? else {
             return Err(CameraError::EndOfRecording { place: source, frames: self.next });
         };
-        let time_s = picture.time_ms.max(0.0) / 1e3;
-        let frame = Frame { image: picture.image, sequence: self.next, time_s, source, depth: None };
+        let image = self.reader.picture().map_err(|error| self.in_time(error))?;
+        let time_s = time_ms.max(0.0) / 1e3;
+        let frame = Frame { image, sequence: self.next, time_s, source, depth: None };
         self.next += 1;
         self.watch.check(&frame, self.lens.as_ref())?;
         Ok(frame)
@@ -58,7 +72,7 @@ impl CameraSource for VideoCamera {
         false
     }
 
-    /// Goes on with the next frame.
+    /// Goes on with the next frame, where what reads it has not ended.
     fn reopen(&mut self) -> Result<(), CameraError> {
         Ok(())
     }
