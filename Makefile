@@ -431,7 +431,7 @@ fuzz-corpus:
 
 # Unless the binaries come from elsewhere.
 release: $(if $(filter file,$(origin BINARIES)),setup)
-	@$(if $(filter file,$(origin BINARIES)),cargo build --release $(FEATURES))
+	@$(if $(filter file,$(origin BINARIES)),rm -f $(BINARIES)/celld-video; cargo build --release $(FEATURES))
 
 # Where each file goes, below $(DESTDIR). What names a path below /usr names one below $(PREFIX) then.
 SHARE = $(PREFIX)/share/celld

@@ -10,9 +10,18 @@ fn said(command: &mut Command) -> String {
     String::from_utf8_lossy(&run.stdout).trim().to_string()
 }
 
+/// Git on the repository that is named, also when git runs the tests.
+fn git_alone() -> Command {
+    let mut git = Command::new("git");
+    for (key, _) in std::env::vars_os().filter(|(key, _)| key.to_string_lossy().starts_with("GIT_")) {
+        git.env_remove(key);
+    }
+    git
+}
+
 fn git(folder: &Path, words: &[&str]) {
     let who = ["-c", "user.name=a", "-c", "user.email=a@example.org", "-c", "commit.gpgsign=false"];
-    said(Command::new("git").arg("-C").arg(folder).args(who).args(words));
+    said(git_alone().arg("-C").arg(folder).args(who).args(words));
 }
 
 fn commit(folder: &Path, files: &[(&str, &str)]) {
@@ -44,7 +53,7 @@ fn what_did_not_change_keeps_its_time_in_the_next_clone() {
     let before = [time("same"), time("other")];
     std::fs::write(kept.join("left behind"), "by a run").expect("written");
 
-    said(Command::new("git").args(["clone", "--quiet"]).args([&first, &second]));
+    said(git_alone().args(["clone", "--quiet"]).args([&first, &second]));
     std::fs::remove_file(second.join("gone")).expect("removed");
     commit(&second, &[("other", "2")]);
     assert_eq!(tree(&second, &kept), kept.display().to_string());
@@ -52,6 +61,11 @@ fn what_did_not_change_keeps_its_time_in_the_next_clone() {
     assert!(time("other") > before[1]);
     assert_eq!(std::fs::read_to_string(kept.join("other")).expect("a file"), "2");
     assert!(!kept.join("gone").exists() && !kept.join("left behind").exists());
+
+    // A run that was broken off has left a lock.
+    std::fs::write(kept.join(".git/index.lock"), "").expect("written");
+    assert_eq!(tree(&second, &kept), kept.display().to_string());
+    assert_eq!(std::fs::read_to_string(kept.join("other")).expect("a file"), "2");
 
     // What is not committed is tried as it is.
     std::fs::write(second.join("other"), "3").expect("written");

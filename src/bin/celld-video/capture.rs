@@ -21,6 +21,8 @@ const EXPOSURE_UNIT_US: f64 = 100.0;
 /// What is open.
 pub struct Capture {
     capture: VideoCapture,
+    /// The last picture.
+    mat: Mat,
     is_video: bool,
 }
 
@@ -37,20 +39,21 @@ impl Capture {
                 if !capture.is_opened().unwrap_or(false) {
                     return Err(failed("it is no video of a known kind", None));
                 }
-                Ok(Capture { capture, is_video: true })
+                Ok(Capture { capture, mat: Mat::default(), is_video: true })
             }
             Source::Device { path, size, rate, exposure_us } => {
                 let capture = device(path, *size, *rate, *exposure_us)?;
-                Ok(Capture { capture, is_video: false })
+                Ok(Capture { capture, mat: Mat::default(), is_video: false })
             }
         }
     }
 
-    /// Takes the next picture.
+    /// Takes the next picture. Each is decoded, requested or not: OpenCV's reader of cameras decodes into
+    /// the picture before, so that what cannot be decoded shows that one, and not one of long ago.
     pub fn grab(&mut self) -> Reply {
-        match self.capture.grab() {
+        match self.capture.read(&mut self.mat) {
             Ok(true) => Reply::Grabbed { time_ms: self.time_ms() },
-            Err(error) if self.is_video => failed("a frame cannot be read", Some(&error)),
+            Err(error) if self.is_video => failed("a frame cannot be decoded", Some(&error)),
             // OpenCV waits ten seconds for a driver; a camera that was pulled out fails at once.
             Ok(false) | Err(_) => Reply::End,
         }
@@ -60,13 +63,8 @@ impl Capture {
     ///
     /// # Errors
     /// The reply that says why there is none.
-    pub fn picture(&mut self) -> Result<(Reply, Vec<u8>), Reply> {
-        let mut mat = Mat::default();
-        match self.capture.retrieve(&mut mat, 0) {
-            Ok(true) if !mat.empty() => picture(&mat),
-            Ok(_) => Err(failed("a frame cannot be decoded", None)),
-            Err(error) => Err(failed("a frame cannot be decoded", Some(&error))),
-        }
+    pub fn picture(&self) -> Result<(Reply, Vec<u8>), Reply> {
+        picture(&self.mat)
     }
 
     /// When the last picture was taken.

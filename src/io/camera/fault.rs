@@ -296,8 +296,7 @@ pub enum CameraError {
     },
     /// The program that reads it cannot be started.
     #[error(
-        "{place}: videos and USB cameras are read by {}, which cannot be started; it comes with celld and belongs \
-         beside it (`cargo build` makes both)",
+        "{place}: videos and USB cameras are read by {}, which cannot be started",
         program.display()
     )]
     NoReader {

@@ -16,6 +16,7 @@ use std::io::{BufRead, BufReader, ErrorKind, Write};
 use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
 use std::process::{Child, ChildStdin, ChildStdout, Command, ExitStatus, Stdio};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// The program's name.
@@ -24,17 +25,48 @@ const PROGRAM: &str = "celld-video";
 const PROGRAM_KEY: &str = "CELLD_VIDEO";
 /// Time for the first answer at least: libraries are loaded, and a camera agrees on its stream.
 const START_LIMIT: Duration = Duration::from_secs(10);
-/// Time for the program to end once it is killed, or has closed its output.
-const END_LIMIT: Duration = Duration::from_secs(1);
+/// Time for the program to end once it is killed, or has closed its output; tests run on busy computers.
+const END_LIMIT: Duration = Duration::from_secs(if cfg!(test) { 20 } else { 1 });
 /// An answer's line has at most so many bytes.
 const LINE_MAX: usize = 1 << 16;
+
+/// The process that reads.
+#[derive(Clone, Debug)]
+pub(super) struct Process(Arc<Mutex<Child>>);
+
+impl Process {
+    fn child(&self) -> MutexGuard<'_, Child> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn kill(&self) {
+        // One that has ended cannot be killed, and needs not be.
+        let _ = self.child().kill();
+    }
+
+    /// How it ended; `None` while it lives.
+    pub fn ended(&self) -> Option<ExitStatus> {
+        self.child().try_wait().ok().flatten()
+    }
+
+    /// The same, when it ends soon.
+    fn ends(&self) -> Option<ExitStatus> {
+        let until = Instant::now() + END_LIMIT;
+        loop {
+            match self.ended() {
+                None if Instant::now() < until => std::thread::sleep(Duration::from_millis(2)),
+                ended => return ended,
+            }
+        }
+    }
+}
 
 /// A source that is open; the process ends with the value.
 #[derive(Debug)]
 pub(super) struct Reader {
     path: PathBuf,
     limit: Duration,
-    child: Child,
+    process: Process,
     requests: ChildStdin,
     replies: BufReader<ChildStdout>,
     /// An answer did not come in time.
@@ -45,8 +77,8 @@ impl Drop for Reader {
     fn drop(&mut self) {
         // It may wait for a driver, which would keep the camera from whoever opens it next. One that the
         // driver does not let go is not waited for.
-        let _ = self.child.kill();
-        let _ = self.exit();
+        self.process.kill();
+        let _ = self.process.ends();
     }
 }
 
@@ -82,12 +114,18 @@ impl Reader {
             return Err(no_reader(std::io::Error::other("it has no pipes")));
         };
         let replies = BufReader::with_capacity(1 << 16, replies);
-        let mut reader = Reader { path: path.clone(), limit, child, requests, replies, late: false };
+        let process = Process(Arc::new(Mutex::new(child)));
+        let mut reader = Reader { path: path.clone(), limit, process, requests, replies, late: false };
         match reader.request(source)? {
             Reply::Open { wire: WIRE } => Ok(reader),
             Reply::Open { .. } => Err(reader.of_another_version()),
             other => Err(reader.unexpected(other)),
         }
+    }
+
+    /// The process, which a driver may keep after the value is gone.
+    pub fn process(&self) -> Process {
+        self.process.clone()
     }
 
     /// Takes the next picture: when it was taken, ms, as in [`Reply::Grabbed`]; `None` at the end of a
@@ -154,7 +192,7 @@ impl Reader {
             match poll(&mut [PollFd::new(self.replies.get_ref(), PollFlags::IN)], left.as_ref()) {
                 Ok(0) => {
                     self.late = true;
-                    let _ = self.child.kill();
+                    self.process.kill();
                     let place = self.path.display().to_string();
                     return Err(CameraError::Silent { place, limit: self.limit });
                 }
@@ -171,18 +209,6 @@ impl Reader {
             }
         }
         Ok(self.replies.buffer())
-    }
-
-    /// How the process ended, if it does soon.
-    fn exit(&mut self) -> Option<ExitStatus> {
-        let until = Instant::now() + END_LIMIT;
-        loop {
-            match self.child.try_wait() {
-                Ok(None) if Instant::now() < until => std::thread::sleep(Duration::from_millis(2)),
-                Ok(ended) => return ended,
-                Err(_) => return None,
-            }
-        }
     }
 
     fn unexpected(&self, reply: Reply) -> CameraError {
@@ -207,7 +233,8 @@ impl Reader {
     }
 
     fn ended(&mut self) -> CameraError {
-        let how = self.exit().map_or_else(|| "its output ended".to_string(), |status| status.to_string());
+        let how =
+            self.process.ends().map_or_else(|| "its output ended".to_string(), |status| status.to_string());
         self.failed("celld-video, which reads it, ended", Cause(how))
     }
 
@@ -267,7 +294,7 @@ mod tests {
             let mut reader = Reader::scripted(&format!("{script}; read never"), LIMIT).unwrap();
             reader.limit = Duration::from_millis(50);
             assert!(matches!(reader.grab(), Err(CameraError::Silent { .. })));
-            assert!(reader.exit().is_some_and(|status| !status.success()), "it was killed");
+            assert!(reader.process.ends().is_some_and(|status| !status.success()), "it was killed");
             let error = reader.grab().unwrap_err();
             assert!(error.to_string().contains("ended"), "an answer that came late is of no use: {error}");
         }

@@ -5,7 +5,7 @@
 //! read; those that were exposed before a picture was requested are passed over, or a look would see the
 //! table as it was at the last one.
 
-use crate::io::camera::reader::Reader;
+use crate::io::camera::reader::{Process, Reader};
 use crate::io::camera::validator::FrameValidator;
 use crate::io::camera::wire::Source;
 use crate::io::camera::{CameraError, CameraSource, Exposure, Frame, UvcSettings};
@@ -28,6 +28,8 @@ pub struct UvcCamera {
     settings: UvcSettings,
     limit: Duration,
     reader: Option<Reader>,
+    /// The process of the reader before, while a driver keeps it: it has the device.
+    process: Option<Process>,
     taken: u64,
     lens: Option<CameraModel>,
     watch: FrameValidator,
@@ -46,7 +48,7 @@ impl UvcCamera {
     ) -> Result<UvcCamera, CameraError> {
         super::same_serial(&settings.device.display().to_string(), &settings.serial, lens.as_ref())?;
         let watch = FrameValidator::default();
-        let mut camera = UvcCamera { settings, limit, reader: None, taken: 0, lens, watch };
+        let mut camera = UvcCamera { settings, limit, reader: None, process: None, taken: 0, lens, watch };
         camera.start()?;
         Ok(camera)
     }
@@ -54,13 +56,19 @@ impl UvcCamera {
     fn start(&mut self) -> Result<(), CameraError> {
         // One process at a time has the device.
         self.reader = None;
+        if self.process.as_ref().is_some_and(|process| process.ended().is_none()) {
+            let place = self.settings.device.display().to_string();
+            return Err(CameraError::Silent { place, limit: self.limit });
+        }
         check_device(&self.settings, Path::new(SYSTEM_CAMERAS), Path::new(LASTING_NAMES))?;
         let UvcSettings { device: path, size, rate, exposure, .. } = self.settings.clone();
         let exposure_us = match exposure {
             Exposure::Auto => None,
             Exposure::Fixed(exposure_us) => Some(exposure_us),
         };
-        self.reader = Some(Reader::open(&Source::Device { path, size, rate, exposure_us }, self.limit)?);
+        let reader = Reader::open(&Source::Device { path, size, rate, exposure_us }, self.limit)?;
+        self.process = Some(reader.process());
+        self.reader = Some(reader);
         Ok(())
     }
 }
@@ -120,23 +128,32 @@ fn stamp_of(driver_ms: f64, now_ms: f64) -> Option<f64> {
 
 /// True for a picture whose exposure began after it was requested; without a time of the driver's only the
 /// count decides.
-fn is_fresh(stamp_ms: Option<f64>, requested_ms: f64, exposure: Duration, passed: u32) -> bool {
-    let exposure_ms = exposure.as_secs_f64() * 1e3;
+fn is_fresh(stamp_ms: Option<f64>, requested_ms: f64, exposure_ms: f64, passed: u32) -> bool {
     passed >= KEPT_MAX || stamp_ms.is_some_and(|stamp_ms| stamp_ms - exposure_ms >= requested_ms)
 }
 
 impl UvcCamera {
-    /// The first picture of those that come which was exposed after `requested_ms`, and its stamp.
-    fn fresh(&self, reader: &mut Reader, requested_ms: f64) -> Result<(Image, Option<f64>), CameraError> {
-        // Exposure fits between two pictures; stamps are of its end at the latest.
-        let exposure = Duration::from_secs(1) / self.settings.rate.max(1);
-        let requested = Instant::now();
+    /// The next picture that is exposed from now on, and when, ms. A driver decodes into the memory of the
+    /// picture before: one that it cannot decode shows that again, which the validator finds.
+    fn fresh(&self, reader: &mut Reader, now_ms: impl Fn() -> f64) -> Result<(Image, f64), CameraError> {
+        let (requested, requested_ms) = (Instant::now(), now_ms());
+        // Exposure fits between two pictures: as configured, and as they come, for a camera that exposes by
+        // itself takes longer in poor light. Stamps are of its end at the latest.
+        let mut exposure_ms = 1e3 / f64::from(self.settings.rate.max(1));
+        if let Exposure::Fixed(exposure_us) = self.settings.exposure {
+            exposure_ms = exposure_ms.max(exposure_us / 1e3);
+        }
+        let mut before_ms = None;
         for passed in 0.. {
             // A camera that was pulled out fails at once.
             let Some(time_ms) = reader.grab()? else { break };
-            let stamp_ms = stamp_of(time_ms, driver_now_ms());
-            if is_fresh(stamp_ms, requested_ms, exposure, passed) {
-                return Ok((reader.picture()?, stamp_ms));
+            let stamp_ms = stamp_of(time_ms, now_ms());
+            if let (Some(before_ms), Some(stamp_ms)) = (before_ms, stamp_ms) {
+                exposure_ms = f64::max(exposure_ms, stamp_ms - before_ms);
+            }
+            before_ms = stamp_ms;
+            if is_fresh(stamp_ms, requested_ms, exposure_ms, passed) {
+                return Ok((reader.picture()?, stamp_ms.unwrap_or(requested_ms)));
             }
         }
         let place = self.settings.device.display().to_string();
@@ -158,12 +175,10 @@ impl CameraSource for UvcCamera {
         let Some(mut reader) = self.reader.take() else {
             return Err(CameraError::Silent { place, limit: Duration::ZERO });
         };
-        let requested_ms = driver_now_ms();
-        let (image, stamp_ms) = self.fresh(&mut reader, requested_ms)?;
+        let (image, time_ms) = self.fresh(&mut reader, driver_now_ms)?;
         // One that failed is started anew.
         self.reader = Some(reader);
-        let time_s = stamp_ms.unwrap_or(requested_ms) / 1e3;
-        let frame = Frame { image, sequence: self.taken, time_s, source: place, depth: None };
+        let frame = Frame { image, sequence: self.taken, time_s: time_ms / 1e3, source: place, depth: None };
         self.taken += 1;
         self.watch.check(&frame, self.lens.as_ref())?;
         Ok(frame)
@@ -240,7 +255,7 @@ mod tests {
         let reader = Reader::scripted(&format!("{open}\n{script}"), Duration::from_secs(20)).unwrap();
         let (settings, limit) = (settings(Path::new("/dev/none")), Duration::from_secs(20));
         let watch = FrameValidator::default();
-        UvcCamera { settings, limit, reader: Some(reader), taken: 0, lens: None, watch }
+        UvcCamera { settings, limit, reader: Some(reader), process: None, taken: 0, lens: None, watch }
     }
 
     #[test]
@@ -256,6 +271,37 @@ mod tests {
             assert_eq!(frame.image.pixel(0, 0), Some([look * (KEPT_MAX as u8 + 1), b'b', b'c']));
             assert_eq!(frame.sequence, u64::from(look) - 1);
         }
+    }
+
+    /// Requested at 1010 ms, after the first of pictures that come so many ms apart; the time that is taken.
+    fn taken_at(apart_ms: u32, exposure: Exposure) -> f64 {
+        let script = format!(
+            "t=$((1000 - {apart_ms})); while read request; do case $request in
+               *grab*) t=$((t + {apart_ms})); echo '{{\"grabbed\":{{\"time_ms\":'$t'}}}}' ;;
+               *) echo '{{\"picture\":{{\"width\":1,\"height\":1}}}}'; printf abc ;;
+             esac; done"
+        );
+        let mut camera = scripted(&script);
+        camera.settings.exposure = exposure;
+        let mut reader = camera.reader.take().unwrap();
+        let times = std::cell::Cell::new(1010.0);
+        camera.fresh(&mut reader, || times.replace(5000.0)).unwrap().1
+    }
+
+    #[test]
+    fn a_picture_is_taken_whose_whole_exposure_lies_after_the_request() {
+        assert_eq!(taken_at(30, Exposure::Auto), 1060.0, "30 a second expose for 33 ms at most");
+        assert_eq!(taken_at(30, Exposure::Fixed(100e3)), 1120.0);
+        assert_eq!(taken_at(40, Exposure::Auto), 1080.0, "in poor light a camera takes its time");
+    }
+
+    #[test]
+    fn a_camera_is_not_opened_while_a_driver_keeps_the_process_before() {
+        let mut camera = scripted("read never");
+        camera.process = camera.reader.as_ref().map(Reader::process);
+        // As if killing it had no effect: what ends the process is kept from doing so.
+        std::mem::forget(camera.reader.take());
+        assert!(matches!(camera.grab(), Err(CameraError::Silent { .. })));
     }
 
     #[test]
@@ -275,8 +321,7 @@ mod tests {
 
     #[test]
     fn pictures_from_before_the_question_are_passed_over() {
-        let exposure = Duration::from_millis(33);
-        let fresh = |driver_ms, passed| is_fresh(stamp_of(driver_ms, 1060.0), 1010.0, exposure, passed);
+        let fresh = |driver_ms, passed| is_fresh(stamp_of(driver_ms, 1060.0), 1010.0, 33.0, passed);
         assert!(!fresh(1000.0, 0), "kept by the driver");
         assert!(!fresh(1030.0, 1), "its exposure had begun");
         assert!(fresh(1050.0, 2));
