@@ -19,7 +19,7 @@ use std::time::Duration;
 use wire::{Reply, Request, Source, WIRE};
 
 /// Time to answer what was requested before the input ended.
-const END_LIMIT: Duration = Duration::from_secs(3);
+const END_LIMIT: Duration = Duration::from_secs(10);
 
 fn main() -> ExitCode {
     if std::env::args_os().len() > 1 {
