@@ -15,7 +15,6 @@ use cell_machine::orders::{Approval, Order, Reply, WayBack};
 use cell_machine::supervisor::round::RoundOrder;
 use cell_machine::supervisor::status::Doing;
 use cell_values::units::Joints;
-use std::f64::consts::TAU;
 use ur_sim::faults::read::read_posted;
 use ur_sim::world::lock;
 
@@ -190,9 +189,9 @@ fn watch(pair: &mut Pair, found: &mut Found) {
     pair.run_until(AFTER_S, |pair| {
         found.moves |= joints(pair).max_difference(&from) > MOVED_RAD;
         found.powers |= robot_mode(pair) != mode;
-        // A wrist may have come there a whole turn away: parking goes the shorter way.
-        let apart = joints(pair).0.into_iter().zip(park.0).map(|(at, to)| (at - to).rem_euclid(TAU));
-        found.parked |= apart.map(|turn| turn.min(TAU - turn)).fold(0.0, f64::max) < MOVED_RAD;
+        // Full turns are left as they are (`Supervisor::transfer_to`).
+        let (at, arm) = (joints(pair), &pair.stage.model.arm);
+        found.parked |= arm.unwound(&park, &at).is_some_and(|park| at.max_difference(&park) < MOVED_RAD);
         false
     });
     let at = joints(pair);
