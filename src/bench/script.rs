@@ -127,7 +127,7 @@ impl Script<'_> {
     /// Without a stop but at place, picture and pick.
     pub fn bound_s(&self, rests: &[Rest]) -> f64 {
         let cycle = self.cycle;
-        let layer = cycle.tallest + 0.5 * cycle.air;
+        let layer = cycle.layer();
         let mut sum = 0.0;
         let empty = Carried::empty(cycle);
         for ([before, look, pick, place], by) in Script::each(rests) {

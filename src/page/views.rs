@@ -261,6 +261,8 @@ fn body_views(bodies: &Bodies) -> Vec<BodyView> {
             | Part::Plane
             | Part::Layer
             | Part::Rim
+            | Part::CornerLayer
+            | Part::CornerRim
             | Part::Standing
             | Part::Tall => return None,
         };

@@ -106,10 +106,8 @@ impl PlanLimits {
             let others = self.objects.iter().zip(&poses).enumerate();
             let others = others.filter(|(index, _)| *index != action.object);
             let standing = others.map(|(_, (other, pose))| other.lying_at(*pose));
-            let table = Tabletop {
-                layer: self.cycle.tallest + 0.5 * self.cycle.air,
-                standing: standing.chain(self.obstacles.iter().cloned()).collect(),
-            };
+            let standing = standing.chain(self.obstacles.iter().cloned()).collect();
+            let table = Tabletop::of(&self.cycle, standing);
             let to_buffer = action.kind == ActionKind::Buffer;
             if let Err(fault) = plan(&self.arm, &self.start, &task, &self.cycle, &table) {
                 let what =

@@ -81,16 +81,15 @@ fn turned(from: &Joints, jog: Jog) -> Joints {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bodies::Tabletop;
     use crate::bodies::sweep::Zone;
     use crate::pick_n_place::tool_down;
-    use crate::testing::{home, model};
+    use crate::testing::{home, model, table};
     use rand::{RngExt, SeedableRng};
 
     #[test]
     fn after_the_jog_nothing_is_too_near_and_on_its_way_nothing_comes_nearer() {
         let model = model(0.5);
-        let room = Room::new(&model.bodies, &Tabletop { layer: 0.035, standing: Vec::new() }, None);
+        let room = Room::new(&model.bodies, &table(), None);
         let mut sweep = Sweep::new(&model.bodies, &room);
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(5);
         let (mut blocked, mut freed, mut overlapping) = (0, 0, 0);
@@ -128,7 +127,7 @@ mod tests {
     #[test]
     fn an_arm_between_the_objects_is_given_no_way_aside() {
         let model = model(0.5);
-        let room = Room::new(&model.bodies, &Tabletop { layer: 0.035, standing: Vec::new() }, None);
+        let room = Room::new(&model.bodies, &table(), None);
         for (x, y) in [(0.02, 0.25), (0.25, 0.25), (0.48, 0.48), (0.1, 0.02)] {
             let low = model.joints_at(&tool_down(x, y, 0.015, 0.0), &home(&model, 0.5)).expect("in reach");
             assert!(Sweep::new(&model.bodies, &room).place(&low, Zone::Over).is_err());

@@ -98,6 +98,26 @@ pub struct PickNPlacePaths {
     pub retreat: CheckedPath,
 }
 
+/// Of the air over everything, so much is kept on the way over the table, and so much where a corner is cut
+/// (shares): there the tool is almost over its place, slower, and higher the farther it is away from it.
+const AIR_OVER: f64 = 0.5;
+const AIR_IN_CORNER: f64 = 1.0 / 6.0;
+
+/// A corner's lowest place is so far over what it keeps out of, m: what a joint move sags between its ends.
+const SAG_M: f64 = 1e-3;
+
+impl CycleParameters {
+    /// Anything may lie on the table up to here, m, and some air over it for what hangs below the tool.
+    pub fn layer(&self) -> f64 {
+        self.tallest + AIR_OVER * self.air
+    }
+
+    /// The same where a corner is cut, m.
+    pub fn corner_layer(&self) -> f64 {
+        self.tallest + AIR_IN_CORNER * self.air
+    }
+}
+
 /// How many yaws a single cup may try.
 pub(crate) const YAWS: usize = 16;
 
@@ -195,10 +215,10 @@ fn hover_height(task: &PickNPlace, cycle: &CycleParameters) -> f64 {
 }
 
 /// Blend radius of a corner at a height, m: with something `below` the tool (m), the way that cuts it stays
-/// over everything, of which half of the air is kept.
+/// over everything.
 fn corner(height: f64, below: f64, cycle: &CycleParameters) -> f64 {
-    let over_all = height - below - cycle.tallest - 0.5 * cycle.air;
-    cycle.blend.min(0.9 * over_all).max(0.0)
+    let over_all = height - below - cycle.corner_layer();
+    cycle.blend.min(over_all - SAG_M).max(0.0)
 }
 
 fn yaws(task: &PickNPlace) -> Vec<f64> {
@@ -277,7 +297,7 @@ fn assemble(
     (rooms, search): (&Rooms, Option<Search>),
 ) -> Result<PickNPlacePaths, PathFault> {
     let low = task.height - cycle.press;
-    let empty_floor = cycle.tallest + 0.5 * cycle.air;
+    let empty_floor = cycle.layer();
     let lower = Leg::between(linear(candidate.pick, cycle, 0.0), low - 1e-3);
     let blend = corner(hover_height(task, cycle), 0.0, cycle);
     let direct = [Leg::over(joint(candidate.hover, cycle, blend), empty_floor), lower];
@@ -306,7 +326,7 @@ fn carry_path(
     (rooms, search): (&Rooms, Option<Search>),
 ) -> Result<CheckedPath, PathFault> {
     let low = task.height - cycle.press;
-    let floor = cycle.tallest + 0.5 * cycle.air + task.height;
+    let floor = cycle.layer() + task.height;
     let blend = corner(travel_height(task, cycle), task.depth(), cycle);
     let room = rooms.meanwhile.holding(&model.bodies, Some(&task.hanging(candidate.yaw)));
     let with_transfer = |blend: f64, transfer: Vec<Leg>| {
@@ -396,6 +416,11 @@ mod tests {
             let carried = paths.carry.start();
             let turned = model.tool_at(&carried).rotation.rotation_to(&tip.rotation).scaled_axis().z;
             assert!(wrap_angle(turned - (task.to.theta - task.from.theta)).abs() < 1e-6, "turned {turned}");
+            // Up with the object: what hangs lowest keeps some air where the corner is left.
+            let over = model.tool_at(&paths.carry.segments()[0].target()).translation.z;
+            let blend = paths.carry.segments()[0].blend();
+            assert!(over - task.depth() - blend >= 0.025, "{blend} below {over}");
+            assert!(blend >= 0.99 * cycle().blend, "the air is used: {blend}");
             at = paths.retreat.end();
         }
     }

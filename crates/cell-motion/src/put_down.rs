@@ -112,7 +112,7 @@ impl Grasp {
         [loaded, placed]: &[Room; 2],
     ) -> Result<PutDown, PathFault> {
         let near_table = self.load.height - cycle.press - 1e-3;
-        let floor = cycle.tallest + 0.5 * cycle.air + self.load.height;
+        let floor = cycle.layer() + self.load.height;
         let straight = |target| Segment::Linear {
             target,
             speed: cycle.tool_speed,

@@ -35,7 +35,7 @@ pub fn cell() -> CellBodies {
 
 /// A table on which nothing else lies, and anything up to the tallest object may.
 pub fn table() -> Tabletop {
-    Tabletop { layer: 0.035, standing: Vec::new() }
+    Tabletop::of(&cycle(), Vec::new())
 }
 
 /// A thin disc of 2 cm that is carried from one place to another.

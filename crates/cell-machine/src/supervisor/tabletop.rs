@@ -13,7 +13,7 @@ use std::sync::Arc;
 impl Supervisor {
     /// What lies on the table but for the object `without`.
     pub(crate) fn tabletop(&self, seen: Option<&Observation>, without: &str) -> Tabletop {
-        let Some(seen) = seen else { return Tabletop { layer: self.layer(), standing: Vec::new() } };
+        let Some(seen) = seen else { return Tabletop::of(&self.cycle(), Vec::new()) };
         let others = seen.objects.iter().filter(|object| object.id != without);
         let objects = others.filter_map(|object| {
             let known = self.model.object(&object.id)?;
@@ -21,7 +21,7 @@ impl Supervisor {
             Some(Standing { name, footprint, pose: object.pose, height: known.height })
         });
         let standing = objects.chain(self.standing_obstacles(seen)).collect();
-        Tabletop { layer: self.layer(), standing }
+        Tabletop::of(&self.cycle(), standing)
     }
 
     /// What stands there and is never moved: things without a marker as high as they were seen, fixed
@@ -60,12 +60,6 @@ impl Supervisor {
     pub(crate) fn listed(&self, seen: &Observation, index: usize) -> Option<String> {
         let mut known = seen.objects.iter().filter(|object| self.model.object(&object.id).is_some());
         known.nth(index).map(|object| object.id.clone())
-    }
-
-    /// Anything may lie on the table up to here, m; the air over it is for what hangs below the tool.
-    fn layer(&self) -> f64 {
-        let cycle = self.cycle();
-        cycle.tallest + 0.5 * cycle.air
     }
 
     /// The table as nothing was seen of it, and what may hang on the gripper.

@@ -110,7 +110,7 @@ impl Supervisor {
     /// Lowest height of the tool on a joint move: over everything on the table, with what is held below it.
     fn travel_floor(&self) -> f64 {
         let cycle = self.cycle();
-        cycle.tallest + 0.5 * cycle.air + self.held_depth()
+        cycle.layer() + self.held_depth()
     }
 
     /// The same where how it hangs is not known; else the bodies say it better.

@@ -16,6 +16,7 @@ mod tests;
 
 use crate::bodies::cell::{CellBodies, NamedShape};
 use crate::bodies::shape::{Shape, apart, placed};
+use crate::pick_n_place::CycleParameters;
 use cell_values::units::Joints;
 use nalgebra::Isometry3;
 use parry3d_f64::math::Pose;
@@ -73,6 +74,10 @@ pub enum Part {
     Layer,
     /// The same over the table's rim, for what hangs on the flange.
     Rim,
+    /// The lower part of that air that a cut corner keeps out of.
+    CornerLayer,
+    /// The same over the table's rim.
+    CornerRim,
     /// One object that was seen or is planned there.
     Standing,
     /// One that reaches out of the layer: the arm goes round it, not only over the layer.
@@ -450,8 +455,22 @@ pub struct Room {
 pub struct Tabletop {
     /// m; 0 where nothing can be there.
     pub layer: f64,
+    /// The same for corners that are cut, m: not over `layer`.
+    pub corner_layer: f64,
     /// Objects that were seen, or that will lie there.
     pub standing: Vec<Standing>,
+}
+
+impl Tabletop {
+    /// With this on it, and anything else up to where a cycle expects it.
+    pub fn of(cycle: &CycleParameters, standing: Vec<Standing>) -> Tabletop {
+        Tabletop { layer: cycle.layer(), corner_layer: cycle.corner_layer(), standing }
+    }
+
+    /// Nothing is known of it but that all that may lie there ends at this height, m.
+    pub fn up_to(layer: f64) -> Tabletop {
+        Tabletop { layer, corner_layer: layer, standing: Vec::new() }
+    }
 }
 
 impl Room {
@@ -463,15 +482,20 @@ impl Room {
     /// A table with this on it, and one more thing where `also` is given; nothing held.
     pub fn new(bodies: &Bodies, table: &Tabletop, also: Option<&Standing>) -> Room {
         let mut out = Vec::new();
-        // What has no known height reaches higher than any arm.
-        let layer = table.layer.min(HIGHEST_M);
-        if layer > 0.0 {
-            let (size, middle) = layer_box(bodies.table, LAYER_RIM_M, (0.0, layer));
-            let shape = Shape::cuboid(size, &(bodies.base_from_table * middle));
-            out.push(Body::new(LAYER, Part::Layer, 0, shape));
-            let (size, middle) = layer_box(bodies.table, TABLE_RIM_M, (0.0, layer));
-            let shape = Shape::cuboid(size, &(bodies.base_from_table * middle));
-            out.push(Body::new(LAYER, Part::Rim, 0, shape));
+        let corner_layer = table.corner_layer.min(table.layer);
+        for (part, rim, layer) in [
+            (Part::Layer, LAYER_RIM_M, table.layer),
+            (Part::Rim, TABLE_RIM_M, table.layer),
+            (Part::CornerLayer, LAYER_RIM_M, corner_layer),
+            (Part::CornerRim, TABLE_RIM_M, corner_layer),
+        ] {
+            // What has no known height reaches higher than any arm.
+            let layer = layer.min(HIGHEST_M);
+            if layer > 0.0 {
+                let (size, middle) = layer_box(bodies.table, rim, (0.0, layer));
+                let shape = Shape::cuboid(size, &(bodies.base_from_table * middle));
+                out.push(Body::new(LAYER, part, 0, shape));
+            }
         }
         out.extend(table.standing.iter().chain(also).map(|thing| {
             let range = (0.0, thing.height.min(HIGHEST_M));

@@ -61,6 +61,9 @@ pub enum Zone {
     /// Straight down or up between the objects: each is kept clear of, but by cups and load, whose outlines
     /// the plan keeps apart from every other, and who touch what is picked.
     Between = 1,
+    /// Where a corner between the two is cut: over everything too, with less air, and clear of what is
+    /// known to stand higher than that.
+    Corner = 2,
 }
 
 /// Two bodies too near to each other.
@@ -84,8 +87,8 @@ pub struct Sweep<'a> {
     pairs: Vec<Pair>,
     /// Metres that each pair may still move against each other before it is measured again.
     left: Vec<f64>,
-    /// Which pairs are kept apart over everything, and which between the objects.
-    watched: [Vec<bool>; 2],
+    /// Which pairs are kept apart in each zone.
+    watched: [Vec<bool>; 3],
     /// Levers that several pairs have, and which of them each pair has.
     levers: Vec<[f64; 6]>,
     levers_of: Vec<usize>,
@@ -102,7 +105,7 @@ impl<'a> Sweep<'a> {
             bodies,
             room,
             left: vec![0.0; pairs.len()],
-            watched: [Vec::new(), Vec::new()],
+            watched: [const { Vec::new() }; 3],
             levers: Vec::new(),
             levers_of: Vec::with_capacity(pairs.len()),
             travel: Vec::new(),
@@ -116,7 +119,7 @@ impl<'a> Sweep<'a> {
             sweep.levers_of.push(sweep.levers.len() - 1);
         }
         let watched = |zone| sweep.pairs.iter().map(|pair| sweep.watches(pair, zone)).collect();
-        sweep.watched = [watched(Zone::Over), watched(Zone::Between)];
+        sweep.watched = [watched(Zone::Over), watched(Zone::Between), watched(Zone::Corner)];
         sweep
     }
 
@@ -277,6 +280,8 @@ impl<'a> Sweep<'a> {
             // Between the objects forearm and elbow are over everything still, seen or not.
             (Zone::Between, Part::Layer) => matches!(a, Part::Link(2 | 3)),
             (Zone::Over, Part::Standing) | (Zone::Between, Part::Rim) => false,
+            (Zone::Corner, Part::Layer | Part::Rim) => false,
+            (Zone::Over | Zone::Between, Part::CornerLayer | Part::CornerRim) => false,
             (Zone::Between, Part::Standing | Part::Tall | Part::Table) => {
                 !matches!(a, Part::Cups | Part::Load)
             }
@@ -356,11 +361,13 @@ fn room_pairs(bodies: &Bodies, room: &Room) -> Vec<Pair> {
 /// Distance that a body keeps to something on the table. Over the table the heights leave air already.
 fn room_margin(part: Part, other: Part, margin: f64) -> Option<f64> {
     match (part, other) {
-        (Part::Link(0 | 1), Part::Layer | Part::Standing | Part::Tall) => None,
+        (Part::Link(0 | 1), Part::Layer | Part::CornerLayer | Part::Standing | Part::Tall) => None,
         (Part::Joint, _) => None,
         // Links pass over the rim where there is nothing but the robot's own base.
-        (Part::Link(_), Part::Rim) => None,
-        (_, Part::Layer | Part::Rim) => Some(0.0),
+        (Part::Link(_), Part::Rim | Part::CornerRim) => None,
+        (_, Part::Layer | Part::Rim | Part::CornerLayer | Part::CornerRim) => Some(0.0),
+        // They count where a corner is cut: there they are over all that is no higher than was expected.
+        (Part::Cups | Part::Load, Part::Standing) => Some(0.0),
         _ => Some(margin),
     }
 }

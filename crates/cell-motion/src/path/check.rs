@@ -112,10 +112,11 @@ fn sweep(
         let Some((after, next)) = traced.get(index + 1).zip(legs.get(index + 1)) else { continue };
         if leg.segment.blend() > 0.0 {
             let corner = Corner::new(model, way, after, leg.segment.blend());
-            // A corner is cut aside of both legs: over everything, and clear of everything.
-            corner.check(&mut sweep, leg.zone).map_err(found)?;
-            if next.zone != leg.zone {
-                corner.check(&mut sweep, next.zone).map_err(found)?;
+            // A corner is cut aside of both legs: clear of everything, and over everything, where one of
+            // them goes down with less air.
+            let zones = if leg.zone == next.zone { [leg.zone; 2] } else { [Zone::Between, Zone::Corner] };
+            for zone in zones {
+                corner.check(&mut sweep, zone).map_err(found)?;
             }
         }
     }
