@@ -221,15 +221,19 @@ impl Supervisor {
             WorkStage::Approaching { .. } => {
                 work.stage = WorkStage::Gripping;
                 self.back.held = Some(work.held.clone());
-                let (object, from) = (work.object.clone(), work.from);
+                let (object, from, mass) = (work.object.clone(), work.from, work.held.mass);
                 let target = self.model.grip.vacuum_target;
                 out.push(Action::Gripper(GripperCommand::Grip { channels, target }));
+                // While the arm rests on the object, as the controller takes some frames for it.
+                self.set_payload(mass, out);
                 // From here on the table is no longer what was seen.
                 self.disturb(&object, &from);
             }
             WorkStage::Carrying { .. } => {
                 work.stage = WorkStage::Releasing;
                 out.push(Action::Gripper(GripperCommand::Release { channels }));
+                // The object lies there already.
+                self.set_payload(0.0, out);
             }
             WorkStage::Retreating => return self.left_the_place(now, out),
             // One step is one try.
@@ -299,11 +303,9 @@ impl Supervisor {
         match (work.stage, event) {
             (WorkStage::Gripping, GripperEvent::Gripped { .. }) => {
                 work.stage = WorkStage::Carrying { segments: work.paths.carry.segments().len() };
-                let (mass, carry) = (work.held.mass, work.paths.carry.clone());
-                let object = work.object.clone();
+                let (object, carry) = (work.object.clone(), work.paths.carry.clone());
                 self.note_moved(&object);
                 self.commit(now, Record::Gripped { step }, out);
-                self.set_payload(mass, out);
                 out.push(Action::Robot(RobotCommand::Stream(carry)));
             }
             (WorkStage::Gripping, GripperEvent::GripFailed { vacuum }) => {
@@ -311,10 +313,10 @@ impl Supervisor {
                 work.stage = WorkStage::GivingUp;
                 self.seen = None;
                 out.push(Action::Gripper(GripperCommand::Release { channels: self.model.grip.channels }));
+                self.set_payload(0.0, out);
             }
             (WorkStage::Releasing, GripperEvent::Released) => {
                 self.commit(now, Record::Released { step }, out);
-                self.set_payload(0.0, out);
                 self.retreat(now, devices, out);
             }
             (WorkStage::GivingUp, GripperEvent::Released) => {
