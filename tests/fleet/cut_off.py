@@ -50,8 +50,11 @@ class CutOff:
         config.write_text(text + f"\nfleet: {{name: {FLEET}, cell: cell-1, servers: ['{self.address}']}}\n")
         self.cell.daemon()
 
+    def run_celld(self, *arguments):
+        return subprocess.run([self.cell.binary, *arguments], cwd=self.cell.folder, capture_output=True, text=True)
+
     def celld(self, *arguments):
-        done = subprocess.run([self.cell.binary, *arguments], cwd=self.cell.folder, capture_output=True, text=True)
+        done = self.run_celld(*arguments)
         assert done.returncode == 0, (arguments, done.stdout, done.stderr)
         return done.stdout
 
@@ -75,12 +78,16 @@ class CutOff:
         return str(file)
 
     def was_stopped(self, ended):
-        """A cell whose robot is not read in time stops, rightly; what it holds then is for a person."""
+        """A cell whose robot is not read in time stops, rightly, and a person takes it up again."""
         if "status: done" in ended:
             return False
-        assert "code: \"link_silent\"" in ended and not self.status()["holding"], ended
+        assert "code: \"link_silent\"" in ended, ended
         print(ended, flush=True)
-        self.celld("arm", "--state", "state")
+        if self.status()["holding"]:
+            # Not before the arm is known to stand.
+            until("a way back is taken", lambda: self.run_celld("recover", "--place", "--state", "state").returncode == 0)
+            until("what is held is put down", lambda: not self.status()["holding"] and self.status()["state"] == "idle")
+        until("the cell is armed again", lambda: self.run_celld("arm", "--state", "state").returncode == 0)
         return True
 
     def run(self):
