@@ -199,7 +199,7 @@ fn checks(figures: &mut MotionFigures, subject: &Subject, seed: u64) {
     for k in 0..200 {
         let moved = &all[k % all.len()];
         let standing = all.iter().filter(|disc| disc.name != moved.name).cloned().collect();
-        let table = Tabletop::of(cycle, standing);
+        let table = cycle.tabletop(standing);
         let task = task(moved, anywhere(&mut random));
         let began = Instant::now();
         if let Ok(paths) = plan(model, &at, &task, cycle, &table) {
@@ -270,7 +270,7 @@ pub const WAY_STEPS: usize = 1500;
 pub fn ways(figures: &mut MotionFigures, subject: &Subject, cases: MotionCases) {
     let mut random = ChaCha8Rng::seed_from_u64(cases.seed ^ 0xa11);
     let model = &subject.model;
-    let table = Tabletop::of(&subject.cycle, Vec::new());
+    let table = subject.cycle.tabletop(Vec::new());
     let room = Room::new(&model.bodies, &table, None);
     let mut times = Vec::new();
     let [found, other_only, none, not_free] = &mut figures.ways;

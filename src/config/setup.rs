@@ -229,7 +229,7 @@ pub fn check_reach(config: &CellConfig, task: &[Transport]) -> Result<(), String
         let Some(object) = objects.iter().find(|object| object.id == *id) else { continue };
         let task = object.pick_n_place(*from, *to);
         let cycle = cycle_parameters(config);
-        let table = Tabletop::of(&cycle, Vec::new());
+        let table = cycle.tabletop(Vec::new());
         plan(&arm, &config.park_pose, &task, &cycle, &table)
             .map_err(|fault| format!("object {id} cannot be carried to its goal: {fault}"))?;
     }

@@ -107,7 +107,7 @@ impl PlanLimits {
             let others = others.filter(|(index, _)| *index != action.object);
             let standing = others.map(|(_, (other, pose))| other.lying_at(*pose));
             let standing = standing.chain(self.obstacles.iter().cloned()).collect();
-            let table = Tabletop::of(&self.cycle, standing);
+            let table = self.cycle.tabletop(standing);
             let to_buffer = action.kind == ActionKind::Buffer;
             if let Err(fault) = plan(&self.arm, &self.start, &task, &self.cycle, &table) {
                 let what =

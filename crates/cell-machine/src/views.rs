@@ -132,7 +132,7 @@ impl Views {
         let (columns, rows) = (cells(table[0]), cells(table[1]));
         let (heights, picture) = (heights(model, sight), Picture::new(sight));
         let mut views = Views { table, columns, rows, heights, picture, poses: Vec::new() };
-        let room = Room::new(&model.arm.bodies, &Tabletop::of(model.cycle, Vec::new()), None);
+        let room = Room::new(&model.arm.bodies, &model.cycle.tabletop(Vec::new()), None);
         let mut sweep = Sweep::new(&model.arm.bodies, &room);
         let computed = poses(model, table, heights);
         for q in model.look_poses.iter().copied().chain(computed) {

@@ -103,6 +103,14 @@ pub struct PickNPlacePaths {
 const AIR_OVER: f64 = 0.5;
 const AIR_IN_CORNER: f64 = 1.0 / 6.0;
 
+/// There it is so much at least, if it is no more than elsewhere, m: heights are measured to a millimetre or
+/// two.
+const LEAST_IN_CORNER_M: f64 = 3e-3;
+
+/// A blend is so much of the way to the next corner at most, and none that is smaller is worth it, m.
+const WAY_SHARE: f64 = 0.9;
+const LEAST_BLEND_M: f64 = 2e-3;
+
 /// A corner's lowest place is so far over what it keeps out of, m: what a joint move sags between its ends.
 const SAG_M: f64 = 1e-3;
 
@@ -114,7 +122,12 @@ impl CycleParameters {
 
     /// The same where a corner is cut, m.
     pub fn corner_layer(&self) -> f64 {
-        self.tallest + AIR_IN_CORNER * self.air
+        self.tallest + (AIR_IN_CORNER * self.air).max(LEAST_IN_CORNER_M).min(AIR_OVER * self.air)
+    }
+
+    /// A table with this on it, and anything else up to there.
+    pub fn tabletop(&self, standing: Vec<Standing>) -> Tabletop {
+        Tabletop { layer: self.layer(), corner_layer: self.corner_layer(), standing }
     }
 }
 
@@ -214,11 +227,17 @@ fn hover_height(task: &PickNPlace, cycle: &CycleParameters) -> f64 {
     (cycle.tallest + cycle.air).max(task.height + cycle.approach)
 }
 
-/// Blend radius of a corner at a height, m: with something `below` the tool (m), the way that cuts it stays
-/// over everything.
-fn corner(height: f64, below: f64, cycle: &CycleParameters) -> f64 {
-    let over_all = height - below - cycle.corner_layer();
-    cycle.blend.min(over_all - SAG_M).max(0.0)
+/// Blend radii of a corner at a height, m, the larger first: with something `below` the tool (m), the way
+/// that cuts it stays over everything, and the corner fits into the `ways` on both sides of it (m).
+fn corner(height: f64, below: f64, cycle: &CycleParameters, ways: [f64; 2]) -> [f64; 2] {
+    let over_all = height - below - cycle.corner_layer() - SAG_M;
+    let largest = ways.into_iter().map(|way| WAY_SHARE * way).fold(cycle.blend.min(over_all), f64::min);
+    [1.0, 0.5].map(|share| if share * largest < LEAST_BLEND_M { 0.0 } else { share * largest })
+}
+
+/// Metres from tool to tool.
+fn metres(model: &ArmModel, from: &Joints, to: &Joints) -> f64 {
+    (model.tool_at(to).translation.vector - model.tool_at(from).translation.vector).norm()
 }
 
 fn yaws(task: &PickNPlace) -> Vec<f64> {
@@ -299,9 +318,13 @@ fn assemble(
     let low = task.height - cycle.press;
     let empty_floor = cycle.layer();
     let lower = Leg::between(linear(candidate.pick, cycle, 0.0), low - 1e-3);
-    let blend = corner(hover_height(task, cycle), 0.0, cycle);
-    let direct = [Leg::over(joint(candidate.hover, cycle, blend), empty_floor), lower];
-    let approach = CheckedPath::new(model, start, &direct, &rooms.before).or_else(|fault| {
+    let ways = [metres(model, start, &candidate.hover), metres(model, &candidate.hover, &candidate.pick)];
+    let direct = |blend: f64| {
+        let legs = [Leg::over(joint(candidate.hover, cycle, blend), empty_floor), lower];
+        CheckedPath::new(model, start, &legs, &rooms.before)
+    };
+    let [wide, narrow] = corner(hover_height(task, cycle), 0.0, cycle, ways);
+    let approach = direct(wide).or_else(|_| direct(narrow)).or_else(|fault| {
         let ends = (start, &candidate.hover);
         let mut legs = round(model, ends, cycle, &rooms.before, search).ok_or(fault)?;
         legs.iter_mut().for_each(|leg| leg.floor = empty_floor);
@@ -327,7 +350,10 @@ fn carry_path(
 ) -> Result<CheckedPath, PathFault> {
     let low = task.height - cycle.press;
     let floor = cycle.layer() + task.height;
-    let blend = corner(travel_height(task, cycle), task.depth(), cycle);
+    let straight = metres(model, &candidate.pick, &candidate.over_pick);
+    // There is a corner at both ends of the transfer.
+    let transfer = 0.5 * metres(model, &candidate.over_pick, &candidate.over_place);
+    let [wide, narrow] = corner(travel_height(task, cycle), task.depth(), cycle, [straight, transfer]);
     let room = rooms.meanwhile.holding(&model.bodies, Some(&task.hanging(candidate.yaw)));
     let with_transfer = |blend: f64, transfer: Vec<Leg>| {
         let lift = Leg::between(linear(candidate.over_pick, cycle, blend), low - 1e-3);
@@ -337,11 +363,15 @@ fn carry_path(
         let legs: Vec<Leg> = legs.map(|leg| leg.holding(task.hold)).collect();
         CheckedPath::new(model, &candidate.pick, &legs, &room)
     };
-    let blended = |transfer: Segment| with_transfer(blend, vec![Leg::over(transfer, floor)]);
+    let blended = |transfer: &dyn Fn(f64) -> Segment| {
+        let with = |blend: f64| with_transfer(blend, vec![Leg::over(transfer(blend), floor)]);
+        with(wide).or_else(|_| with(narrow))
+    };
+    let over = candidate.over_place;
     // A line is as slow as its turn: one that mostly turns is left for another yaw, or a way round.
     let turns = wrap_angle(task.to.theta - task.from.theta).abs() > LINE_TURN_RAD;
-    blended(joint(candidate.over_place, cycle, blend))
-        .or_else(|fault| if turns { Err(fault) } else { blended(linear(candidate.over_place, cycle, blend)) })
+    blended(&|blend| joint(over, cycle, blend))
+        .or_else(|fault| if turns { Err(fault) } else { blended(&|blend| linear(over, cycle, blend)) })
         .or_else(|fault| {
             let ends = (&candidate.over_pick, &candidate.over_place);
             with_transfer(0.0, round(model, ends, cycle, &room, search).ok_or(fault)?)
@@ -361,10 +391,13 @@ pub fn leave(
     let room = Room::new(&model.bodies, table, None).holding(&model.bodies, Some(load));
     let low = placed.height - cycle.press;
     let to = model.unwound(to, over)?;
-    let blend = corner(travel_height(placed, cycle), placed.depth(), cycle);
-    let up = Leg::between(linear(*over, cycle, blend), low - 1e-3).holding(placed.hold);
+    let ways = [metres(model, from, over), metres(model, over, &to)];
     let away = Leg::over(joint(to, cycle, 0.0), f64::NEG_INFINITY).holding(placed.hold);
-    CheckedPath::new(model, from, &[up, away], &room).ok()
+    let radii = corner(travel_height(placed, cycle), placed.depth(), cycle, ways);
+    radii.into_iter().find_map(|blend| {
+        let up = Leg::between(linear(*over, cycle, blend), low - 1e-3).holding(placed.hold);
+        CheckedPath::new(model, from, &[up, away], &room).ok()
+    })
 }
 
 /// A way round what is in the straight way, stop by stop; `None` where none is searched for or found.
@@ -420,9 +453,40 @@ mod tests {
             let over = model.tool_at(&paths.carry.segments()[0].target()).translation.z;
             let blend = paths.carry.segments()[0].blend();
             assert!(over - task.depth() - blend >= 0.025, "{blend} below {over}");
-            assert!(blend >= 0.99 * cycle().blend, "the air is used: {blend}");
+            let transfer =
+                metres(&model, &paths.carry.segments()[0].target(), &paths.carry.segments()[1].target());
+            assert!(blend >= cycle().blend.min(0.22 * transfer) - 2e-3, "the air is used: {blend}");
             at = paths.retreat.end();
         }
+    }
+
+    /// Corners nearer to each other than their radii: a controller would leave one of them out.
+    #[test]
+    fn corners_do_not_overlap_however_short_the_way() {
+        let model = model(0.5);
+        let wide = CycleParameters { blend: 0.05, ..cycle() };
+        for (way, turn) in [(0.0, 1.0), (0.002, 0.0), (0.02, 0.1), (0.045, 2.0), (0.3, 0.0)] {
+            let task = task(Pose2::new(0.1, 0.2, 0.0), Pose2::new(0.1 + way, 0.2, turn), [0.0, 0.0]);
+            let start = home(&model, 0.5);
+            let paths = plan(&model, &start, &task, &wide, &table()).expect("reachable");
+            let [up, over, _] = paths.carry.segments() else { panic!("{:?}", paths.carry.segments()) };
+            let apart = metres(&model, &up.target(), &over.target());
+            assert!(up.blend() + over.blend() <= apart, "{way} m: {} + {}", up.blend(), over.blend());
+            assert!(way < 0.1 || up.blend() > 0.02, "a long way has wide corners: {}", up.blend());
+        }
+        let at = |x: f64, z: f64| {
+            model.joints_in_work_posture(&tool_down(x, 0.25, z, 0.0), &model.home).expect("in reach")
+        };
+        let path = |way: f64| {
+            let legs = [
+                Leg::over(linear(at(0.1, 0.2), &wide, 0.02), f64::NEG_INFINITY),
+                Leg::over(linear(at(0.1 + way, 0.2), &wide, 0.02), f64::NEG_INFINITY),
+                Leg::over(linear(at(0.1 + way, 0.1), &wide, 0.0), f64::NEG_INFINITY),
+            ];
+            CheckedPath::new(&model, &at(0.1, 0.1), &legs, &Room::empty())
+        };
+        assert!(path(0.041).is_ok(), "{:?}", path(0.041).err());
+        assert!(matches!(path(0.039), Err(PathFault::Limit { what, .. }) if what.contains("blend")));
     }
 
     #[test]

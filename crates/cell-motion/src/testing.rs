@@ -33,9 +33,14 @@ pub fn cell() -> CellBodies {
     CellBodies::new(&gripper, &flange_from_tool, Some(&camera))
 }
 
+/// A table of which nothing is known but that all that may lie there ends at this height, m.
+pub fn up_to(layer: f64) -> Tabletop {
+    Tabletop { layer, corner_layer: layer, standing: Vec::new() }
+}
+
 /// A table on which nothing else lies, and anything up to the tallest object may.
 pub fn table() -> Tabletop {
-    Tabletop::of(&cycle(), Vec::new())
+    cycle().tabletop(Vec::new())
 }
 
 /// A thin disc of 2 cm that is carried from one place to another.

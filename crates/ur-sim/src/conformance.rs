@@ -32,6 +32,12 @@ const MOTION: &[Claim] = &[
         "the_corner_is_passed_within_the_blend_radius",
     ),
     Claim(
+        "Overlapping blends",
+        Grade::Modelled,
+        "of movej and movel: the second of two moves is skipped; the words are assumed",
+        "a_move_whose_blend_overlaps_the_one_before_is_skipped",
+    ),
+    Claim(
         "movep, movec",
         Grade::Real,
         "constant tool speed round corners and circles",

@@ -13,7 +13,7 @@ use std::sync::Arc;
 impl Supervisor {
     /// What lies on the table but for the object `without`.
     pub(crate) fn tabletop(&self, seen: Option<&Observation>, without: &str) -> Tabletop {
-        let Some(seen) = seen else { return Tabletop::of(&self.cycle(), Vec::new()) };
+        let Some(seen) = seen else { return self.cycle().tabletop(Vec::new()) };
         let others = seen.objects.iter().filter(|object| object.id != without);
         let objects = others.filter_map(|object| {
             let known = self.model.object(&object.id)?;
@@ -21,7 +21,7 @@ impl Supervisor {
             Some(Standing { name, footprint, pose: object.pose, height: known.height })
         });
         let standing = objects.chain(self.standing_obstacles(seen)).collect();
-        Tabletop::of(&self.cycle(), standing)
+        self.cycle().tabletop(standing)
     }
 
     /// What stands there and is never moved: things without a marker as high as they were seen, fixed

@@ -224,7 +224,8 @@ impl Supervisor {
                 let (object, from, mass) = (work.object.clone(), work.from, work.held.mass);
                 let target = self.model.grip.vacuum_target;
                 out.push(Action::Gripper(GripperCommand::Grip { channels, target }));
-                // While the arm rests on the object, as the controller takes some frames for it.
+                // From here on the object counts as held. The controller takes the payload over while the
+                // arm rests.
                 self.set_payload(mass, out);
                 // From here on the table is no longer what was seen.
                 self.disturb(&object, &from);
@@ -232,8 +233,6 @@ impl Supervisor {
             WorkStage::Carrying { .. } => {
                 work.stage = WorkStage::Releasing;
                 out.push(Action::Gripper(GripperCommand::Release { channels }));
-                // The object lies there already.
-                self.set_payload(0.0, out);
             }
             WorkStage::Retreating => return self.left_the_place(now, out),
             // One step is one try.
@@ -317,6 +316,7 @@ impl Supervisor {
             }
             (WorkStage::Releasing, GripperEvent::Released) => {
                 self.commit(now, Record::Released { step }, out);
+                self.set_payload(0.0, out);
                 self.retreat(now, devices, out);
             }
             (WorkStage::GivingUp, GripperEvent::Released) => {

@@ -16,7 +16,6 @@ mod tests;
 
 use crate::bodies::cell::{CellBodies, NamedShape};
 use crate::bodies::shape::{Shape, apart, placed};
-use crate::pick_n_place::CycleParameters;
 use cell_values::units::Joints;
 use nalgebra::Isometry3;
 use parry3d_f64::math::Pose;
@@ -459,18 +458,6 @@ pub struct Tabletop {
     pub corner_layer: f64,
     /// Objects that were seen, or that will lie there.
     pub standing: Vec<Standing>,
-}
-
-impl Tabletop {
-    /// With this on it, and anything else up to where a cycle expects it.
-    pub fn of(cycle: &CycleParameters, standing: Vec<Standing>) -> Tabletop {
-        Tabletop { layer: cycle.layer(), corner_layer: cycle.corner_layer(), standing }
-    }
-
-    /// Nothing is known of it but that all that may lie there ends at this height, m.
-    pub fn up_to(layer: f64) -> Tabletop {
-        Tabletop { layer, corner_layer: layer, standing: Vec::new() }
-    }
 }
 
 impl Room {

@@ -62,7 +62,7 @@ pub enum Zone {
     /// the plan keeps apart from every other, and who touch what is picked.
     Between = 1,
     /// Where a corner between the two is cut: over everything too, with less air, and clear of what is
-    /// known to stand higher than that.
+    /// known to be higher than that.
     Corner = 2,
 }
 
@@ -366,7 +366,7 @@ fn room_margin(part: Part, other: Part, margin: f64) -> Option<f64> {
         // Links pass over the rim where there is nothing but the robot's own base.
         (Part::Link(_), Part::Rim | Part::CornerRim) => None,
         (_, Part::Layer | Part::Rim | Part::CornerLayer | Part::CornerRim) => Some(0.0),
-        // They count where a corner is cut: there they are over all that is no higher than was expected.
+        // Counted in corners alone, which are over all that is no higher than was expected.
         (Part::Cups | Part::Load, Part::Standing) => Some(0.0),
         _ => Some(margin),
     }

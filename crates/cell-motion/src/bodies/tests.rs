@@ -6,7 +6,7 @@ use crate::bodies::sweep::{Sweep, Zone};
 use crate::bodies::{Bodies, Room, Standing, Surroundings, Tabletop};
 use crate::path::{ArmModel, CheckedPath, Leg, PathFault, Segment};
 use crate::pick_n_place::{plan, tool_down};
-use crate::testing::{cell, cycle, home, model, task};
+use crate::testing::{cell, cycle, home, model, task, up_to};
 use crate::way::{NoWay, Search, find};
 use cell_values::units::Joints;
 use nalgebra::Isometry3;
@@ -78,9 +78,9 @@ fn a_wall_and_what_is_carried_count() {
 #[test]
 fn what_may_lie_on_the_table_is_passed_over_and_between_the_objects_each_counts() {
     let model = model(0.5);
-    let low = Room::new(&model.bodies, &Tabletop::up_to(0.1), None);
+    let low = Room::new(&model.bodies, &up_to(0.1), None);
     assert_eq!(meeting(&model, &low), None);
-    let high = Room::new(&model.bodies, &Tabletop::up_to(0.21), None);
+    let high = Room::new(&model.bodies, &up_to(0.21), None);
     assert!(meeting(&model, &high).is_some(), "the cups are 0.2 m over the table");
     let tall = crate::pick_n_place::CycleParameters { tallest: 0.15, ..cycle() };
     // A tower of 0.15 m beside the object: the gripper's body, 0.08 m over the cups, would touch it.
@@ -91,7 +91,7 @@ fn what_may_lie_on_the_table_is_passed_over_and_between_the_objects_each_counts(
             pose: Pose2::new(x, 0.25, 0.0),
             height: 0.15,
         };
-        Tabletop::of(&tall, vec![standing])
+        tall.tabletop(vec![standing])
     };
     let picked = task(Pose2::new(0.2, 0.25, 0.0), Pose2::new(0.2, 0.4, 0.0), [0.0, 0.0]);
     let try_beside = |x: f64| plan(&model, &home(&model, 0.5), &picked, &tall, &tower(x));
@@ -419,7 +419,7 @@ fn what_stands_higher_than_anything_may_lie_is_passed_over_too() {
             pose: Pose2::new(0.25, 0.35, 0.0),
             height,
         };
-        Room::new(&model.bodies, &Tabletop { standing: vec![standing], ..Tabletop::up_to(layer) }, None)
+        Room::new(&model.bodies, &Tabletop { standing: vec![standing], ..up_to(layer) }, None)
     };
     assert_eq!(meeting(&model, &tower(0.0, 0.15)), None);
     for (layer, height) in [(0.0, 0.3), (0.1, 0.3), (0.1, f64::INFINITY)] {
@@ -441,17 +441,17 @@ fn round_a_corner(blend: f64, table: &Tabletop) -> Result<CheckedPath, PathFault
 
 #[test]
 fn a_corner_is_cut_where_it_stays_over_what_may_lie_there() {
-    let table = Tabletop::of(&cycle(), Vec::new());
+    let table = cycle().tabletop(Vec::new());
     // 50 mm over the table, on which anything may be 20 mm high; 5 mm are kept, and 15 mm on the way.
     assert!(round_a_corner(0.024, &table).is_ok(), "{:?}", round_a_corner(0.024, &table).err());
     let fault = round_a_corner(0.027, &table).expect_err("too low");
     assert!(fault.names("what may lie on the table"), "{fault}");
-    let unseen = Tabletop::up_to(cycle().layer());
+    let unseen = up_to(cycle().layer());
     assert!(round_a_corner(0.014, &unseen).is_ok() && round_a_corner(0.024, &unseen).is_err());
 }
 
 #[test]
-fn a_corner_is_cut_clear_of_what_stands_higher_than_others() {
+fn a_corner_is_cut_clear_of_what_is_higher_than_others() {
     let beside = |height: f64| {
         let standing = Standing {
             name: "a thing without a marker".to_string(),
@@ -460,7 +460,7 @@ fn a_corner_is_cut_clear_of_what_stands_higher_than_others() {
             pose: Pose2::new(0.222, 0.25, 0.0),
             height,
         };
-        Tabletop::of(&cycle(), vec![standing])
+        cycle().tabletop(vec![standing])
     };
     assert!(round_a_corner(0.024, &beside(0.02)).is_ok());
     let fault = round_a_corner(0.024, &beside(0.034)).expect_err("into it");
@@ -476,7 +476,7 @@ fn between_the_objects_the_tool_does_not_turn_and_the_elbow_stays_over_what_may_
     };
     let down = |yaw: f64, layer: f64| {
         let segment = Segment::Linear { target: at(0.05, yaw), speed: 0.2, acceleration: 1.0, blend: 0.0 };
-        let room = Room::new(&model.bodies, &Tabletop::up_to(layer), None);
+        let room = Room::new(&model.bodies, &up_to(layer), None);
         CheckedPath::new(&model, &at(0.2, 0.0), &[Leg::between(segment, 0.0)], &room).err()
     };
     assert_eq!(down(0.0, 0.15), None);

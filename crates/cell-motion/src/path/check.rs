@@ -92,8 +92,30 @@ pub(super) fn path(
         traced.push(way);
         from = leg.segment.target();
     }
+    blends_part(model, start, legs)?;
     sweep(model, start, legs, &traced, room)?;
     Ok(traced.into_iter().map(|leg| leg.segment).collect())
+}
+
+/// No two corners are cut in the same place: a controller leaves a segment out whose blend reaches into that
+/// of the one before or after it, and goes another way than the one that is checked here (user manual,
+/// "Blend parameters": blends cannot overlap).
+fn blends_part(model: &ArmModel, start: &Joints, legs: &[Leg]) -> Result<(), PathFault> {
+    let place = |q: &Joints| model.tool_at(q).translation.vector;
+    let (mut from, mut before) = (place(start), 0.0);
+    for (index, leg) in legs.iter().enumerate() {
+        // The last segment ends at rest, whatever its blend.
+        let blend = if index + 1 == legs.len() { 0.0 } else { leg.segment.blend() };
+        let to = place(&leg.segment.target());
+        let way = (to - from).norm();
+        // Without any blend there is nothing to overlap, however short the way.
+        if before + blend > 0.0 && before + blend > way {
+            let what = "sum of the blend radii at the ends of a segment".into();
+            return Err(PathFault::Limit { what, value: before + blend, limit: way });
+        }
+        (from, before) = (to, blend);
+    }
+    Ok(())
 }
 
 /// All pairs of bodies along all legs and their corners.
@@ -114,9 +136,10 @@ fn sweep(
             let corner = Corner::new(model, way, after, leg.segment.blend());
             // A corner is cut aside of both legs: clear of everything, and over everything, where one of
             // them goes down with less air.
-            let zones = if leg.zone == next.zone { [leg.zone; 2] } else { [Zone::Between, Zone::Corner] };
+            let zones: &[Zone] =
+                if leg.zone == next.zone { &[leg.zone] } else { &[Zone::Between, Zone::Corner] };
             for zone in zones {
-                corner.check(&mut sweep, zone).map_err(found)?;
+                corner.check(&mut sweep, *zone).map_err(found)?;
             }
         }
     }

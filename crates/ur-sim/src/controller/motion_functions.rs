@@ -17,6 +17,7 @@ use cell_values::units::Joints;
 use nalgebra::{Isometry3, Matrix6, Vector6};
 use ur_arm::kinematics::inverse_near;
 use ur_arm::pose::isometry_from_ur_pose;
+use ur_wire::primary_message::MessageBody;
 use urscript::host::{Call, Reply};
 use urscript::value::Value;
 
@@ -131,6 +132,10 @@ fn or_stop<T>(core: &mut Core, result: Result<T, MotionFault>) -> Option<T> {
 fn start_move(core: &mut Core, call: &mut Call<'_>) -> Result<Reply, String> {
     take_arm(core, call)?;
     let limits = limits_of(core, call)?;
+    if is_skipped(core, call, &limits)? {
+        core.message(MessageBody::Text(format!("Overlapping blends in {}, the move is skipped", call.name)));
+        return Ok(Reply::Value(Value::Nothing));
+    }
     let started = match call.name {
         "movej" | "optimovej" => {
             let joints = joints_of(core, call)?;
@@ -164,6 +169,16 @@ fn start_move(core: &mut Core, call: &mut Call<'_>) -> Result<Reply, String> {
         None => core.owner = None,
     }
     Ok(Reply::Wait)
+}
+
+/// Whether a move is left out, as its blend overlaps that of the move before it.
+fn is_skipped(core: &Core, call: &Call<'_>, limits: &MoveLimits) -> Result<bool, String> {
+    let target = match call.name {
+        "movej" | "optimovej" => core.mover.arm.tcp(&joints_of(core, call)?),
+        "movel" | "optimovel" => pose_of(core, call, 0)?,
+        _ => return Ok(false),
+    };
+    Ok(core.mover.blends_overlap(&target, limits.blend))
 }
 
 /// Speeds, accelerations, duration and blend of a move; the place of each argument depends on the move.

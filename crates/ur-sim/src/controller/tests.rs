@@ -10,6 +10,7 @@ use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 use ur_wire::primary_message::{MessageBody, PROGRAM_STARTED, PROGRAM_STOPPED};
 use ur_wire::rtde_values::Value;
 
+mod blends;
 mod built_ins;
 mod interpreter;
 mod judged;
@@ -500,24 +501,6 @@ fn two_threads_may_not_move_the_arm_at_once() {
     (0..3).for_each(|_| controller.frame());
     let said = messages(&mut controller);
     assert!(said[1].contains("another thread is already controlling the robot"), "{said:?}");
-}
-
-#[test]
-fn blended_moves_of_a_program_do_not_stop() {
-    let mut controller = running();
-    upload(
-        &mut controller,
-        "def m():\n i = 1\n while i <= 4:\n  movej([0.4 * i,-1.57,1.57,-1.57,-1.57,0], a=3, v=1, r=0.05)\n  \
-         i = i + 1\n \
-         end\n movej([2,-1.57,1.57,-1.57,-1.57,0], a=3, v=1)\nend\n",
-    );
-    (0..250).for_each(|_| controller.frame());
-    let mut slowest = f64::INFINITY;
-    while controller.core.mover.q().0[0] < 1.6 {
-        controller.frame();
-        slowest = slowest.min(controller.core.mover.qd()[0]);
-    }
-    assert!(slowest > 0.6, "slowed down to {slowest} rad/s");
 }
 
 #[test]

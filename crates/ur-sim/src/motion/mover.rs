@@ -89,6 +89,8 @@ pub struct Mover {
     drive: f64,
     ramp_seconds: f64,
     last_id: u64,
+    /// Blend radius of the move that was started last, m.
+    last_blend: f64,
     still_frames: u64,
     /// Tool speed set in the last frame of a tool-speed task; measuring it anew each frame would drift.
     tool_speed: Option<Vector6<f64>>,
@@ -121,6 +123,7 @@ impl Mover {
             drive: 1.0,
             ramp_seconds: SOFT_RAMP_SECONDS,
             last_id: 0,
+            last_blend: 0.0,
             still_frames: 0,
             tool_speed: None,
             limiter: 1.0,
@@ -181,6 +184,13 @@ impl Mover {
     pub fn waypoint(&self) -> Option<Isometry3<f64>> {
         let Task::Segments(segments) = &self.task else { return None };
         segments.back().map(|last| self.arm.tcp(&last.segment.target()))
+    }
+
+    /// Whether the blend (m) of a move to `base_from_tcp` would reach into that of the move under way.
+    pub fn blends_overlap(&self, base_from_tcp: &Isometry3<f64>, blend: f64) -> bool {
+        let Some(before) = self.waypoint() else { return false };
+        let apart = (base_from_tcp.translation.vector - before.translation.vector).norm();
+        blend > 0.0 && self.last_blend > 0.0 && apart < self.last_blend + blend
     }
 
     /// True when no joint moves.

@@ -1,9 +1,11 @@
-//! What the status says of the arm's motion where the cell is disarmed or paused, and what it says last.
+//! What the status says of the arm's motion where the cell is disarmed or paused, and what it says last; the
+//! payload that the arm moves with.
 
 use super::faults::working;
 use super::standing::moving_arm;
 use super::*;
 use crate::code::Code;
+use crate::device::gripper_types::{GripperCommand, GripperEvent};
 use crate::device::robot_types::ProgramEnd;
 use crate::notified::{Notified, RESTS_AFTER};
 use crate::supervisor::input::CameraFault;
@@ -158,4 +160,41 @@ fn an_arm_rests_once_it_was_seen_at_rest_for_a_while() {
     assert!(moves(&bench, 60_200));
     bench.robot.qd = [0.0; 6];
     assert!(moves(&bench, 60_300) && moves(&bench, 60_790) && !moves(&bench, 60_800));
+}
+
+/// What is requested of gripper and arm, in order; payloads in grams beside those of the gripper.
+fn requested(actions: &[Action], gripper_kg: f64) -> Vec<String> {
+    let word = |action: &Action| match action {
+        Action::Gripper(GripperCommand::Grip { .. }) => Some("grip".to_string()),
+        Action::Gripper(GripperCommand::Release { .. }) => Some("release".to_string()),
+        Action::Robot(RobotCommand::SetPayload { mass_kg, .. }) => {
+            Some(format!("payload {:.0} g", 1e3 * (mass_kg - gripper_kg)))
+        }
+        Action::Robot(RobotCommand::Stream(_)) => Some("path".to_string()),
+        _ => None,
+    };
+    actions.iter().filter_map(word).collect()
+}
+
+#[test]
+fn the_payload_is_that_of_what_counts_as_held_before_the_arm_moves_on() {
+    let gripper_kg = model().grip.tool_mass;
+    let mut bench = working();
+    let arrived = bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
+    assert_eq!(requested(&arrived, gripper_kg), ["grip", "payload 100 g"]);
+    bench.vacuum = [0.6, 0.6];
+    let gripped = bench.feed(Input::Gripper(GripperEvent::Gripped { vacuum: 0.6 }));
+    assert_eq!(requested(&gripped, gripper_kg), ["path"]);
+    let placed = bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 2 }));
+    assert_eq!(requested(&placed, gripper_kg), ["release"], "it may hang on the cups until it is released");
+    bench.vacuum = [0.0, 0.0];
+    let released = bench.feed(Input::Gripper(GripperEvent::Released));
+    assert_eq!(requested(&released, gripper_kg), ["payload 0 g", "path"]);
+
+    let mut bench = working();
+    bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
+    let failed = bench.feed(Input::Gripper(GripperEvent::GripFailed { vacuum: 0.05 }));
+    assert_eq!(requested(&failed, gripper_kg), ["release", "payload 0 g"]);
+    let released = bench.feed(Input::Gripper(GripperEvent::Released));
+    assert_eq!(requested(&released, gripper_kg), ["path"]);
 }

@@ -23,7 +23,7 @@ impl Mover {
         }
         let (from, lead) = self.departure(limits.acceleration);
         let segment = Segment::joint(&self.arm, &from, to, limits, lead);
-        Ok(self.add(segment))
+        Ok(self.add(segment, limits.blend))
     }
 
     /// Starts a straight tool move to `base_from_tcp`.
@@ -38,7 +38,7 @@ impl Mover {
         let (from, lead) = self.departure(limits.acceleration.max(1.0));
         let path = ToolPath::line(&self.arm.tcp(&from), base_from_tcp);
         let segment = Segment::tool(&self.arm, &from, path, limits, lead)?;
-        Ok(self.add(segment))
+        Ok(self.add(segment, limits.blend))
     }
 
     /// Starts a move on the circle through `via` to `to`; with `fixed` the tool turns with the circle.
@@ -55,7 +55,7 @@ impl Mover {
         let (from, lead) = self.departure(limits.acceleration.max(1.0));
         let path = ToolPath::circle(&self.arm.tcp(&from), via, to, fixed);
         let segment = Segment::tool(&self.arm, &from, path, limits, lead)?;
-        Ok(self.add(segment))
+        Ok(self.add(segment, limits.blend))
     }
 
     /// Starts a process move: where the last one's blend begins, the tool goes on at its speed round the
@@ -71,12 +71,12 @@ impl Mover {
         if let Some((path, speed)) = self.takeover(base_from_tcp) {
             let segment = Segment::process(&self.arm, &self.q, path, limits, Start::Motion(speed))?;
             self.task = Task::Segments(VecDeque::new());
-            return Ok(self.add(segment));
+            return Ok(self.add(segment, limits.blend));
         }
         let (from, lead) = self.departure(limits.acceleration.max(1.0));
         let path = ToolPath::line(&self.arm.tcp(&from), base_from_tcp);
         let segment = Segment::process(&self.arm, &from, path, limits, Start::Lead(lead))?;
-        Ok(self.add(segment))
+        Ok(self.add(segment, limits.blend))
     }
 
     /// The way on to `to` from a process move whose blend has begun, and the speed it goes on with.
@@ -144,8 +144,9 @@ impl Mover {
         departure
     }
 
-    fn add(&mut self, segment: Segment) -> MoveId {
+    fn add(&mut self, segment: Segment, blend: f64) -> MoveId {
         self.last_id += 1;
+        self.last_blend = blend;
         let id = MoveId(self.last_id);
         let active = Active { segment, time: 0.0, id };
         match &mut self.task {
