@@ -16,7 +16,7 @@ use cell_machine::supervisor::model::{
 };
 use cell_machine::views::SightModel;
 use cell_motion::bodies::cell::{CellBodies, GripperBody};
-use cell_motion::bodies::{Bodies, Surroundings, Tabletop};
+use cell_motion::bodies::{Bodies, Surroundings};
 use cell_motion::holding::LEAST_ACCELERATION;
 use cell_motion::path::{ArmLimits, ArmModel};
 use cell_motion::pick_n_place::{CycleParameters, plan};

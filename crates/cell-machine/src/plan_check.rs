@@ -7,7 +7,7 @@
 //! here, pick-n-place by pick-n-place, with the bodies standing as planned; the paths are not kept, for
 //! each is planned again from where its object is then seen.
 
-use cell_motion::bodies::{Standing, Tabletop};
+use cell_motion::bodies::Standing;
 use cell_motion::path::{ArmModel, PathFault};
 use cell_motion::pick_n_place::{CycleParameters, PickNPlace, plan};
 use cell_motion::reach::{ReachMask, reaches};

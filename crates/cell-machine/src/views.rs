@@ -7,8 +7,8 @@
 //! that look straight down from the heights of the taught look poses. Those are among them. Pure.
 
 use cell_calibration::files::hand_eye::Mount;
+use cell_motion::bodies::Room;
 use cell_motion::bodies::sweep::{Sweep, Zone};
-use cell_motion::bodies::{Room, Tabletop};
 use cell_motion::path::ArmModel;
 use cell_motion::pick_n_place::CycleParameters;
 use cell_values::units::Joints;
