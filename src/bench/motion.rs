@@ -11,7 +11,7 @@ use crate::pair::thin_arm::{THINNER_M, ThinModel};
 use cell_motion::bodies::cell::{CellBodies, NamedShape};
 use cell_motion::bodies::shape::Shape;
 use cell_motion::bodies::sweep::Sweep;
-use cell_motion::bodies::{Bodies, Room, Standing, Surroundings, Tabletop};
+use cell_motion::bodies::{Bodies, Room, Standing, Surroundings};
 use cell_motion::path::ArmModel;
 use cell_motion::pick_n_place::{CycleParameters, PickNPlace, plan, tool_down};
 use cell_motion::reach::reaches;
