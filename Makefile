@@ -148,7 +148,8 @@ data:
 # The whole cells over sockets (cell_*, robot_session) run first, four at a time: most of their time is real
 # time that passes. Beside them what needs no time of its own gets what the cells leave of the processor and
 # no more: what takes its share could hold a heartbeat up, as could what the build has left to be written to
-# the disk. Without nextest they run one after the other.
+# the disk. The tests that are left follow the cells, beside the same. Without nextest all run one after the
+# other.
 #
 # All targets name the whole workspace and the one feature that is not there by default: with fewer crates or
 # features everything is built once more. What a build without the feature says, clippy reads below.
@@ -187,9 +188,9 @@ test: setup tidy
 	  { $$idle cargo nextest run $(TESTED) -E '$(TIMELESS) - ($(ELSEWHERE))' >$(TIMELESS_LOG) 2>&1 \
 	    || { cat $(TIMELESS_LOG); exit 1; }; } & beside=$$!; \
 	  failed=0; cargo nextest run $(TESTED) --profile cells --test-threads 4 -E '$(CELLS)' || failed=1; \
+	  cargo nextest run $(TESTED) -E 'not ($(ELSEWHERE) | $(CELLS) | $(TIMELESS))' || failed=1; \
 	  wait $$beside || failed=1; \
 	  sed -n '/Summary/,$$p' $(TIMELESS_LOG); \
-	  cargo nextest run $(TESTED) -E 'not ($(ELSEWHERE) | $(CELLS) | $(TIMELESS))' || failed=1; \
 	  [ $$failed = 0 ]; \
 	else \
 	  echo "cargo test"; \
