@@ -64,7 +64,7 @@ impl Pace {
             press_m: 5e-4,
             lift_height_m: 0.03,
             approach_height_m: 0.03,
-            blend_m: 0.05,
+            blend_m: 0.03,
         }
     }
 

@@ -147,12 +147,15 @@ pub struct TimeBook {
     present: TimeSplit,
     /// Segments of the present path that are behind.
     segments: usize,
+    /// The first look at the whole table is awaited, and time is counted as its already.
+    awaits_round: bool,
 }
 
 impl TimeBook {
     /// A path begins.
     pub fn begins_path(&mut self) {
         self.segments = 0;
+        self.awaits_round = false;
     }
 
     /// One segment of it is behind.
@@ -162,7 +165,9 @@ impl TimeBook {
 
     /// A look at the whole table begins.
     pub fn begins_round(&mut self) {
-        self.done.rounds.push(TimeSplit::default());
+        if !std::mem::take(&mut self.awaits_round) {
+            self.done.rounds.push(TimeSplit::default());
+        }
     }
 
     /// The arm has stopped for a picture.
@@ -180,8 +185,15 @@ impl TimeBook {
         self.segments
     }
 
-    /// Time passed in the pick-n-place under way, or in the look at the whole table before it.
+    /// Time passed in the pick-n-place under way, or in the look at the whole table before it. Before the
+    /// first look there is no pick-n-place: what is waited for then, a person or the robot, is no part of
+    /// one.
     pub fn spend(&mut self, what: Use, in_round: bool, seconds: f64) {
+        if self.done.rounds.is_empty() && self.done.moves.is_empty() {
+            self.begins_round();
+            self.awaits_round = true;
+        }
+        let in_round = in_round || self.awaits_round;
         let round = self.done.rounds.last_mut().filter(|_| in_round);
         round.unwrap_or(&mut self.present).add(what, seconds);
     }
@@ -205,6 +217,22 @@ impl TimeBook {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_waited_for_before_the_first_look_is_no_part_of_a_move() {
+        let mut book = TimeBook::default();
+        book.spend(Use::Waiting, false, 60.0);
+        book.begins_round();
+        book.spend(Use::Travel, true, 2.0);
+        book.spend(Use::Vertical, false, 1.0);
+        book.move_over();
+        book.begins_round();
+        book.spend(Use::Travel, true, 3.0);
+        let times = book.close();
+        let totals: Vec<f64> = times.rounds.iter().map(TimeSplit::total_s).collect();
+        assert_eq!((totals, times.moves.len()), (vec![62.0, 3.0], 1));
+        assert_eq!(times.in_moves().total_s(), 1.0);
+    }
 
     #[test]
     fn what_is_no_motion_picture_or_vacuum_is_idle() {
