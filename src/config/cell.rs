@@ -201,7 +201,7 @@ pub struct Tolerances {
     pub goal_position_m: f64,
     /// rad.
     pub goal_angle_rad: f64,
-    /// An observation older than this is not acted upon, s.
+    /// What was seen longer ago is not acted upon, s.
     pub observation_age_s: f64,
     /// The whole table is looked at again after so many pick-n-places.
     pub full_look_every: u32,

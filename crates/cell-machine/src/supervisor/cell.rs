@@ -360,7 +360,7 @@ impl Supervisor {
         if self.mode.parks() {
             self.withdraw_meant(now, out);
             self.begin_park(devices, out);
-        } else if !self.is_seen() {
+        } else if !self.is_seen(now) {
             self.begin_look(now, devices, out);
         } else {
             self.compare_and_continue(now, devices, out);

@@ -48,7 +48,7 @@ impl Supervisor {
     /// Begins the look that what comes next needs.
     pub(crate) fn begin_look(&mut self, now: Timestamp, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
         let Some(robot) = devices.robot else { return };
-        let plan = self.next_look(&robot.q);
+        let plan = self.next_look(now, &robot.q);
         self.begin(now, devices, Look::begun(plan), out);
     }
 
@@ -373,9 +373,9 @@ impl Supervisor {
                 if whole {
                     self.glance = Some(Glance { seen: observation.clone(), at: now });
                 }
-                self.seen = Some(observation);
+                let before = self.seen.replace(observation);
                 self.seen_at = now;
-                self.looked(whole);
+                self.looked(now, whole, before.as_ref());
             }
             Some(rejection) => {
                 self.seen = None;

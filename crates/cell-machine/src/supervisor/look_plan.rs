@@ -7,6 +7,7 @@ use cell_values::units::Joints;
 use cell_vision::region::Region;
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// How much of what was seen holds.
 #[derive(Debug, Default, Deserialize, Serialize)]
@@ -19,6 +20,10 @@ pub(crate) struct Sight {
     pub whole: bool,
     /// Pick-n-places since the last look at the whole table.
     pub since_whole: u32,
+    /// When the last look that showed an object was over: a slow arm may take long from stop to stop, and
+    /// what a look has just shown is not old for that.
+    #[serde(default)]
+    pub looked_at: BTreeMap<String, Timestamp>,
 }
 
 /// From where the table is looked at, in order, and what has to be seen: the whole table where there is no

@@ -5,8 +5,9 @@
 //! of a part of the table put together with what was seen before. A pick-n-place disturbs what its object
 //! and a slip of it can reach round its two places, and whatever reaches into that. Before the next one
 //! all of that is seen again, and where the next one picks and places: between, a hand may have been
-//! there. The whole table is looked at when nothing is known of it, at the end of a job, when a look shows
-//! anything unexpected, and every so many pick-n-places.
+//! there; and every object that was seen too long ago, or soon will be. The whole table is looked at when
+//! nothing is known of it, at the end of a job, when a look shows anything unexpected, and every so many
+//! pick-n-places.
 
 use crate::code::Code;
 use crate::supervisor::cell::Supervisor;
@@ -17,6 +18,7 @@ use crate::supervisor::reason::Reason;
 use cell_motion::bodies::sweep::{Sweep, Zone};
 use cell_motion::cycle_time::rest_to_rest;
 use cell_motion::pick_n_place::{tool_down, wound};
+use cell_values::time::Timestamp;
 use cell_values::units::Joints;
 use cell_vision::foreign::ForeignReport;
 use cell_vision::marker::corners_m;
@@ -42,21 +44,45 @@ const RIM_M: f64 = 0.001;
 /// Two looks agree about a place to this, m.
 const SAME_PLACE_M: f64 = 2e-3;
 
+/// An object that no look has shown for longer than this share of `observation_age_s` is seen with the next
+/// look: the one after that may come too late.
+const SOON: f64 = 0.5;
+
 /// What a stop for a picture costs besides the way, s.
 const STOP_S: f64 = 0.1;
 
 impl Supervisor {
-    /// A look has shown what it should.
-    pub(crate) fn looked(&mut self, whole: bool) {
+    /// A look has shown what it should; `before` is what was seen before it.
+    pub(crate) fn looked(&mut self, now: Timestamp, whole: bool, before: Option<&Observation>) {
         let since_whole = if whole { 0 } else { self.sight.since_whole };
         let made_for = self.job.as_ref().map(|job| job.moves);
-        self.sight = Sight { disturbed: Region::default(), made_for, whole, since_whole };
+        let looked_at = |object: &ObjectEstimate| {
+            // What is remembered has the picture that it had.
+            let known = before.and_then(|before| before.object(&object.id));
+            let remembered = known.filter(|known| known.time == object.time);
+            let at = remembered.map(|_| self.sight.looked_at.get(&object.id).copied().unwrap_or(object.time));
+            (object.id.clone(), at.unwrap_or(now))
+        };
+        let looked_at = self.seen.iter().flat_map(|seen| &seen.objects).map(looked_at).collect();
+        self.sight = Sight { disturbed: Region::default(), made_for, whole, since_whole, looked_at };
     }
 
-    /// What was seen is still what a pick has to rest on.
-    pub(crate) fn is_seen(&self) -> bool {
+    /// What was seen is still what a pick has to rest on, and nothing of it is too old.
+    pub(crate) fn is_seen(&self, now: Timestamp) -> bool {
         let moves = self.job.as_ref().map(|job| job.moves);
-        self.seen.is_some() && self.sight.made_for == moves && self.sight.disturbed.is_empty()
+        let is_made_for = self.sight.made_for == moves && self.sight.disturbed.is_empty();
+        let is_old = self.seen_before(now, 1.0).next().is_some();
+        self.seen.is_some() && is_made_for && !is_old
+    }
+
+    /// Objects that no look has shown for longer than this share of what a look is acted upon for.
+    fn seen_before(&self, now: Timestamp, share: f64) -> impl Iterator<Item = &ObjectEstimate> {
+        let limit = share * self.model.tolerances.observation_age.as_secs_f64();
+        let objects = self.seen.iter().flat_map(|seen| &seen.objects);
+        objects.filter(move |object| {
+            let at = self.sight.looked_at.get(&object.id).copied().unwrap_or(object.time);
+            now.since(at).as_secs_f64() > limit
+        })
     }
 
     /// The tool comes down on an object, or goes down with it: what is there may have moved since it was
@@ -83,18 +109,18 @@ impl Supervisor {
     }
 
     /// The look that what comes next needs, for an arm at `from`.
-    pub(crate) fn next_look(&self, from: &Joints) -> LookPlan {
-        self.partial_look(from).unwrap_or_else(|| self.whole_look())
+    pub(crate) fn next_look(&self, now: Timestamp, from: &Joints) -> LookPlan {
+        self.partial_look(now, from).unwrap_or_else(|| self.whole_look())
     }
 
-    fn partial_look(&self, from: &Joints) -> Option<LookPlan> {
+    fn partial_look(&self, now: Timestamp, from: &Joints) -> Option<LookPlan> {
         let next = self.job.as_ref()?.route.as_ref()?.first()?;
         let object = self.model.object(&next.object)?;
         let is_due = self.sight.since_whole >= self.model.tolerances.full_look_every;
         if self.back.recovery.is_some() || self.seen.is_none() || is_due {
             return None;
         }
-        let region = self.region_for(next, object);
+        let region = self.region_for(now, next, object);
         let over_pick = self.over_pick(next, object);
         let poses = self.poses_for(from, &region, over_pick.as_ref())?;
         Some(LookPlan { poses, region: Some(region) })
@@ -119,7 +145,7 @@ impl Supervisor {
     }
 
     /// What has to be seen before a pick-n-place.
-    fn region_for(&self, next: &RouteAction, object: &CellObject) -> Region {
+    fn region_for(&self, now: Timestamp, next: &RouteAction, object: &CellObject) -> Region {
         let mut region = self.sight.disturbed.clone();
         let radius = object.footprint.bounding_radius() + AROUND_M;
         for pose in [&next.from, &next.to] {
@@ -132,6 +158,11 @@ impl Supervisor {
                 region.join(&marker);
             }
         }
+        for old in self.seen_before(now, SOON) {
+            if let Some(known) = self.model.object(&old.id) {
+                region.join(&marker_place(known, &old.pose));
+            }
+        }
         region
     }
 
@@ -142,10 +173,7 @@ impl Supervisor {
             let disc = Footprint::Disc { radius };
             penetration(&disc, &Pose2::new(centre[0], centre[1], 0.0), &known.footprint, pose) > 0.0
         };
-        self.sight.disturbed.discs().any(reaches).then(|| {
-            let marker = pose.compose(&known.marker.offset);
-            Region::disc([marker.x, marker.y], known.marker.size * FRAC_1_SQRT_2 + RIM_M)
-        })
+        self.sight.disturbed.discs().any(reaches).then(|| marker_place(known, pose))
     }
 
     /// Joints over the next pick; `None` where it is out of reach, which is said later.
@@ -238,6 +266,12 @@ impl Supervisor {
             region.contains_disc([marker.x, marker.y], known.marker.size * FRAC_1_SQRT_2)
         })
     }
+}
+
+/// Where an object's marker is, with some room round it.
+fn marker_place(known: &CellObject, pose: &Pose2) -> Region {
+    let marker = pose.compose(&known.marker.offset);
+    Region::disc([marker.x, marker.y], known.marker.size * FRAC_1_SQRT_2 + RIM_M)
 }
 
 /// Things without a marker that were seen before and not all in a region are still there.

@@ -41,7 +41,7 @@ impl Supervisor {
     ) {
         let (Some(job), Some(robot)) = (&self.job, devices.robot) else { return };
         if let Err(closed) =
-            gates::manipulate(self.mode.armed(), devices, self.nonce, self.is_seen(), job.approved)
+            gates::manipulate(self.mode.armed(), devices, self.nonce, self.is_seen(now), job.approved)
         {
             return self.wait(now, closed, out);
         }
@@ -180,7 +180,7 @@ impl Supervisor {
     /// The intent is on disk. Writing it took time: every gate is looked at again before the arm moves.
     fn begin_approach(&mut self, now: Timestamp, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
         let approved = self.job.as_ref().is_some_and(|job| job.approved);
-        let (armed, observed) = (self.mode.armed(), self.is_seen());
+        let (armed, observed) = (self.mode.armed(), self.is_seen(now));
         if let Err(closed) = gates::manipulate(armed, devices, self.nonce, observed, approved) {
             self.not_begun(now, out);
             return self.wait(now, closed, out);
@@ -396,7 +396,7 @@ impl Supervisor {
         if let Phase::Work(work) = &mut self.phase {
             work.over = true;
         }
-        let look = self.next_look(over);
+        let look = self.next_look(now, over);
         let first = look.poses.first()?;
         let path = leave(&self.model.arm, [from, over, first], (&task, &load), &self.cycle(), &table)?;
         self.mean_next(now, look.poses.last()?, out);

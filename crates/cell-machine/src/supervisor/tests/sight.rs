@@ -210,6 +210,54 @@ fn what_a_part_need_not_show_is_remembered_and_what_it_should_show_and_does_not_
     assert!(again.iter().any(|action| matches!(action, Action::Observe { .. })));
 }
 
+/// How long ago `c` was seen, s.
+fn age_of_c(bench: &Bench) -> f64 {
+    let c = bench.cell.observation().and_then(|seen| seen.object("c")).expect("remembered");
+    bench.now.since(c.time).as_secs_f64()
+}
+
+#[test]
+fn what_will_soon_be_too_old_is_seen_with_the_next_look() {
+    let mut bench = carried_out();
+    bench.ticks(50);
+    bench.cell.model.tolerances.observation_age = Duration::from_secs_f64(1.5 * age_of_c(&bench));
+    until_looking(&mut bench);
+    let look = partial(&reach_and_picture(&mut bench)).expect("a look at a part of the table");
+    assert!(look.region.contains([AT_C.x, AT_C.y]));
+}
+
+#[test]
+fn nothing_is_picked_while_a_part_of_the_table_was_seen_too_long_ago() {
+    let mut bench = carried_out();
+    until_looking(&mut bench);
+    reach_and_picture(&mut bench);
+    // The look did not have to show `c`, which has just become too old.
+    bench.cell.model.tolerances.observation_age = Duration::from_secs_f64(0.99 * age_of_c(&bench));
+    let looks = bench.feed(Input::Observed(Ok(Box::new(seen(&bench, &[("a", GOAL_A), ("b", AT_B)])))));
+    assert_eq!((streams(&looks), records(&looks)), (1, Vec::new()), "{looks:?}");
+    let look = partial(&reach_and_picture(&mut bench)).expect("a look at a part of the table");
+    assert!(look.region.contains([AT_C.x, AT_C.y]));
+    let all = [("a", GOAL_A), ("b", AT_B), ("c", AT_C)];
+    let goes = bench.feed(Input::Observed(Ok(Box::new(seen(&bench, &all)))));
+    assert!(bench.cell.status().text().contains('b'), "{goes:?} {}", bench.cell.status().text());
+    assert_eq!(streams(&goes), 1, "{goes:?}");
+}
+
+/// A slow arm takes longer from stop to stop than a look holds: what it has shown counts from its end.
+#[test]
+fn a_look_that_takes_long_is_no_reason_for_another() {
+    let mut bench = carried_out();
+    until_looking(&mut bench);
+    reach_and_picture(&mut bench);
+    let shown = seen(&bench, &[("a", GOAL_A), ("b", AT_B), ("c", AT_C)]);
+    bench.ticks(5);
+    let age = bench.now.since(shown.objects[0].time).as_secs_f64();
+    bench.cell.model.tolerances.observation_age = Duration::from_secs_f64(0.5 * age);
+    let goes = bench.feed(Input::Observed(Ok(Box::new(shown))));
+    assert_eq!(streams(&goes), 1, "{goes:?}");
+    assert!(bench.cell.pick_n_place().is_some(), "{}", bench.cell.status().text());
+}
+
 /// A look from two stops, the second of which shows `a` or is far from it; `a` is in the first picture
 /// alone.
 fn seen_from_the_first_stop_alone(bench: &mut Bench, first: u32, shows: bool, gone: usize) -> Vec<Action> {
