@@ -235,6 +235,11 @@ fn corner(height: f64, below: f64, cycle: &CycleParameters, ways: [f64; 2]) -> [
     [1.0, 0.5].map(|share| if share * largest < LEAST_BLEND_M { 0.0 } else { share * largest })
 }
 
+/// The path with the wider corners of two, or else with the narrower.
+fn widest<T>([wide, narrow]: [f64; 2], path: impl Fn(f64) -> Result<T, PathFault>) -> Result<T, PathFault> {
+    path(wide).or_else(|fault| if narrow < wide { path(narrow) } else { Err(fault) })
+}
+
 /// Metres from tool to tool.
 fn metres(model: &ArmModel, from: &Joints, to: &Joints) -> f64 {
     (model.tool_at(to).translation.vector - model.tool_at(from).translation.vector).norm()
@@ -323,8 +328,8 @@ fn assemble(
         let legs = [Leg::over(joint(candidate.hover, cycle, blend), empty_floor), lower];
         CheckedPath::new(model, start, &legs, &rooms.before)
     };
-    let [wide, narrow] = corner(hover_height(task, cycle), 0.0, cycle, ways);
-    let approach = direct(wide).or_else(|_| direct(narrow)).or_else(|fault| {
+    let radii = corner(hover_height(task, cycle), 0.0, cycle, ways);
+    let approach = widest(radii, direct).or_else(|fault| {
         let ends = (start, &candidate.hover);
         let mut legs = round(model, ends, cycle, &rooms.before, search).ok_or(fault)?;
         legs.iter_mut().for_each(|leg| leg.floor = empty_floor);
@@ -353,7 +358,7 @@ fn carry_path(
     let straight = metres(model, &candidate.pick, &candidate.over_pick);
     // There is a corner at both ends of the transfer.
     let transfer = 0.5 * metres(model, &candidate.over_pick, &candidate.over_place);
-    let [wide, narrow] = corner(travel_height(task, cycle), task.depth(), cycle, [straight, transfer]);
+    let radii = corner(travel_height(task, cycle), task.depth(), cycle, [straight, transfer]);
     let room = rooms.meanwhile.holding(&model.bodies, Some(&task.hanging(candidate.yaw)));
     let with_transfer = |blend: f64, transfer: Vec<Leg>| {
         let lift = Leg::between(linear(candidate.over_pick, cycle, blend), low - 1e-3);
@@ -364,8 +369,7 @@ fn carry_path(
         CheckedPath::new(model, &candidate.pick, &legs, &room)
     };
     let blended = |transfer: &dyn Fn(f64) -> Segment| {
-        let with = |blend: f64| with_transfer(blend, vec![Leg::over(transfer(blend), floor)]);
-        with(wide).or_else(|_| with(narrow))
+        widest(radii, |blend| with_transfer(blend, vec![Leg::over(transfer(blend), floor)]))
     };
     let over = candidate.over_place;
     // A line is as slow as its turn: one that mostly turns is left for another yaw, or a way round.
@@ -394,10 +398,11 @@ pub fn leave(
     let ways = [metres(model, from, over), metres(model, over, &to)];
     let away = Leg::over(joint(to, cycle, 0.0), f64::NEG_INFINITY).holding(placed.hold);
     let radii = corner(travel_height(placed, cycle), placed.depth(), cycle, ways);
-    radii.into_iter().find_map(|blend| {
+    let path = |blend: f64| {
         let up = Leg::between(linear(*over, cycle, blend), low - 1e-3).holding(placed.hold);
-        CheckedPath::new(model, from, &[up, away], &room).ok()
-    })
+        CheckedPath::new(model, from, &[up, away], &room)
+    };
+    widest(radii, path).ok()
 }
 
 /// A way round what is in the straight way, stop by stop; `None` where none is searched for or found.
