@@ -9,6 +9,7 @@
 //! `demo`: a whole fleet on one computer.
 
 pub mod demo;
+pub mod ends;
 pub mod files;
 pub mod fragment;
 pub mod page;

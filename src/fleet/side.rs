@@ -6,13 +6,14 @@
 
 use crate::config::cell::CellConfig;
 use crate::daemon::job_orders::{found_by, job_context};
+use crate::fleet::ends::Ends;
 use crate::fleet::files::files_of;
 use crate::fleet::fragment::{Follower, Next};
 use crate::fleet::reported::{decided, events, local, rejected, state_of};
 use crate::jobs::goal::read_goal_file;
 use crate::jobs::job_file::read_job;
 use crate::jobs::journal::Journal;
-use crate::jobs::record::JobSpec;
+use crate::jobs::record::{JobRecord, JobSpec};
 use crate::jobs::state::StateFolder;
 use crate::jobs::status::{Remarks, Status};
 use crate::jobs::submit::{Handed, hand_in, prepare, stem};
@@ -33,11 +34,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::Receiver;
-use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
-
-/// A job that the journal has not ended by then waits again.
-const END_WITHIN: Duration = Duration::from_secs(60);
 
 /// A status, and when it was written, s since 1970.
 pub type Written = (Status, f64);
@@ -73,42 +70,44 @@ pub struct Side {
     handed: BTreeMap<String, Handed>,
     /// Jobs that were decided about from afar: reported already.
     decided_afar: BTreeSet<String>,
-    /// Jobs that the cell works on no longer, since when, also in s since 1970: the journal has their end,
-    /// or will.
-    left: BTreeMap<String, (Instant, f64)>,
+    /// Which ends of jobs are reported; `None` until the journal could be read.
+    ends: Option<Ends>,
     pending: Vec<CellEvent>,
 }
 
 impl Side {
     /// With the statuses that the keeper writes.
     pub fn new(daemon: Daemon, statuses: Receiver<Written>) -> Side {
-        Side {
+        let mut side = Side {
             daemon,
             statuses,
             last: Status::default(),
             seen_unix_s: 0.0,
             handed: BTreeMap::new(),
             decided_afar: BTreeSet::new(),
-            left: BTreeMap::new(),
+            ends: None,
             pending: Vec::new(),
-        }
+        };
+        side.ended();
+        side
     }
 
     /// Takes in what was written since the last look.
     fn follow(&mut self) {
+        let mut news = false;
         while let Ok((status, unix_s)) = self.statuses.try_recv() {
+            news = true;
             for (job, what) in events(&self.last, &status) {
                 self.pending.push(CellEvent { job, what, unix_s });
             }
             for job in decided(&self.last, &status) {
                 self.decided(&job, unix_s);
             }
-            if let Some(job) = self.last.job.take_if(|job| status.job.as_ref() != Some(job)) {
-                self.left.insert(job, (Instant::now(), unix_s));
-            }
             self.last = status;
         }
-        self.ended();
+        if news {
+            self.ended();
+        }
         let Some(Sight { seen, unix_s, .. }) = self.daemon.feed.last_sight() else { return };
         if unix_s > self.seen_unix_s {
             self.seen_unix_s = unix_s;
@@ -119,23 +118,30 @@ impl Side {
         }
     }
 
-    /// Reports the jobs that have ended, once the journal says how.
+    /// Reports the jobs that have ended since the last look into the journal. One that cannot be read now is
+    /// read with the next status.
     fn ended(&mut self) {
-        if self.left.is_empty() {
-            return;
+        match self.newly_ended() {
+            Ok(ended) => self.pending.extend(ended.iter().filter_map(end_of)),
+            Err(error) => tracing::debug!(error, "the ends of jobs are reported to the fleet later"),
         }
-        let Ok(Some(journal)) = self.journal() else { return };
-        let mut over = Vec::new();
-        self.left.retain(|id, (left, unix_s)| {
-            match journal.job(id).ok().flatten().as_ref().map(local) {
-                Some(Local::Ended(outcome)) => over.push((id.clone(), outcome, *unix_s)),
-                _ => return left.elapsed() < END_WITHIN,
-            }
-            false
-        });
-        for (job, outcome, unix_s) in over {
-            self.pending.push(CellEvent { job: Some(job), what: What::Done { outcome }, unix_s });
-        }
+    }
+
+    fn newly_ended(&mut self) -> Result<Vec<JobRecord>, String> {
+        let Some(journal) = self.journal()? else {
+            // Without a journal nothing has ended yet.
+            self.ends.get_or_insert_default();
+            return Ok(Vec::new());
+        };
+        let active = self.last.job.as_deref();
+        let ended = match &mut self.ends {
+            Some(ends) => ends.next(&journal, active),
+            none => Ends::from_now(&journal).map(|ends| {
+                *none = Some(ends);
+                Vec::new()
+            }),
+        };
+        ended.map_err(|error| chain(&error))
     }
 
     /// A person at the cell has decided about a plan.
@@ -178,6 +184,13 @@ impl Side {
             Some(format!("{} cannot be put at its goal: {fault}", goal.id))
         })
     }
+}
+
+/// The event of a job that has ended.
+fn end_of(job: &JobRecord) -> Option<CellEvent> {
+    let Local::Ended(outcome) = local(job) else { return None };
+    let unix_s = job.ended_unix_s.unwrap_or_else(unix_now_s);
+    Some(CellEvent { job: Some(job.id.clone()), what: What::Done { outcome }, unix_s })
 }
 
 /// The file that a job of the fleet has in `incoming`, if it is still there: from before a restart.

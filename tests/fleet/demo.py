@@ -121,13 +121,18 @@ try:
     own = OUT / "own.yaml"
     own.write_text("version: 1\nid: own\ngoal: {look: true}\n")
     celld("submit", str(own), "--state", state("cell-2"))
+    # So has one that is cancelled before its time.
+    later = OUT / "later.yaml"
+    later.write_text("version: 1\nid: later\nnot_before: 2099-01-01T00:00:00Z\ngoal: {look: true}\n")
+    celld("submit", str(later), "--state", state("cell-2"))
+    celld("cancel", "later", "--state", state("cell-2"))
 
     def ends():
         events = [json.loads(line) for line in fleet("export", "events", "--format", "jsonl").splitlines()]
         return [event["job"] for event in events if event["kind"] == "done"]
 
-    ended = until("its end among the events", lambda: "own" in (found := ends()) and found)
-    assert sorted(ended) == sorted([job["id"] for job in jobs] + ["own"]), ended
+    ended = until("their ends among the events", lambda: {"own", "later"} <= set(found := ends()) and found)
+    assert sorted(ended) == sorted([job["id"] for job in jobs] + ["own", "later"]), ended
 
     # A shared configuration: an armed cell waits, a disarmed one takes it and stays disarmed.
     shared = OUT / "shared.yaml"

@@ -7,7 +7,7 @@
 
 mod claim;
 pub mod old;
-pub(in crate::jobs) mod places;
+pub mod places;
 pub(in crate::jobs) mod rows;
 mod schema;
 mod steps;

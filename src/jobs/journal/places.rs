@@ -1,13 +1,15 @@
-//! Where the files of jobs are, and which files were refused: the columns that the spool works with.
+//! Where the files of jobs are, and which files were refused: the columns that the spool works with; and
+//! what has happened to jobs since a reader's last look.
 //!
-//! In: places and refusals. Out: what is not yet in its place. A place is written here after the file got
-//! there; after a crash in between, both are found and the work is finished (`jobs::spool`).
+//! In: places and refusals. Out: what is not yet in its place, what is new. A place is written here after
+//! the file got there; after a crash in between, both are found and the work is finished (`jobs::spool`).
 
 use crate::jobs::journal::rows::source_text;
 use crate::jobs::journal::{Journal, JournalError, Rejection};
 use crate::jobs::record::JobRecord;
 use cell_edge::files::FileIdentity;
 use rusqlite::{OptionalExtension, Row, params};
+use std::collections::BTreeSet;
 
 /// A job with the places of its files.
 #[derive(Clone, Debug)]
@@ -18,6 +20,17 @@ pub(in crate::jobs) struct Placed {
     pub source: Option<String>,
     /// Folder below `jobs`, once there is one.
     pub folder: Option<String>,
+}
+
+/// Jobs that a reader who follows the journal looks at.
+#[derive(Clone, Debug, Default)]
+pub struct Since {
+    /// Those that have not ended.
+    pub open: BTreeSet<String>,
+    /// Those that were claimed since, whether they have ended or not.
+    pub newer: Vec<String>,
+    /// Order of arrival of the last job that there is; 0 without any.
+    pub last: i64,
 }
 
 /// A refusal about to be written down.
@@ -119,6 +132,33 @@ impl Journal {
         let select = "SELECT sequence, name, stored, code, reason, moves, source FROM rejections
                       WHERE source = ?1 ORDER BY sequence DESC LIMIT 1";
         self.database.query_row(select, [source_text(source)], rejection).optional().map_err(|e| self.fail(e))
+    }
+
+    /// Jobs that have not ended, and all that were claimed after the one with the order of arrival `after`.
+    ///
+    /// # Errors
+    /// SQLite fails ([`JournalError::Database`]).
+    pub fn since(&self, after: i64) -> Result<Since, JournalError> {
+        let last = "SELECT coalesce(max(sequence), 0) FROM jobs";
+        let last: i64 = self.database.query_row(last, [], |row| row.get(0)).map_err(|e| self.fail(e))?;
+        // What is claimed between the two questions is left for the next look.
+        let select = "SELECT id, state IN ('waiting','active'), sequence > ?1 FROM jobs
+                      WHERE sequence <= ?2 AND (state IN ('waiting','active') OR sequence > ?1)";
+        let mut found = Since { last, ..Since::default() };
+        let rows: Result<Vec<(String, bool, bool)>, _> =
+            self.database.prepare(select).and_then(|mut rows| {
+                rows.query_map(params![after, last], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))?
+                    .collect()
+            });
+        for (id, open, newer) in rows.map_err(|e| self.fail(e))? {
+            if newer {
+                found.newer.push(id.clone());
+            }
+            if open {
+                found.open.insert(id);
+            }
+        }
+        Ok(found)
     }
 
     /// The newest job that came in a file of this name.
