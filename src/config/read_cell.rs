@@ -407,7 +407,7 @@ pub(super) fn tolerances(decoder: &mut Decoder, at: &At, settle_s: f64) -> Optio
     let fields = decoder.map(at, &known)?;
     let position = required_positive(decoder, &fields, "goal_position_m", 0.1, "m");
     let angle = required_positive(decoder, &fields, "goal_angle_deg", 90.0, "degrees");
-    let age = required_positive(decoder, &fields, "observation_age_s", 3600.0, "s");
+    let age = required_number(decoder, &fields, "observation_age_s", 1.0..=3600.0, "s");
     let every = optional(decoder, &fields, "full_look_every", FULL_LOOK_EVERY, |d, at| {
         d.integer(at, 1..=10_000).and_then(|count| u32::try_from(count).ok())
     });

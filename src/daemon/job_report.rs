@@ -204,18 +204,7 @@ mod tests {
     #[test]
     fn what_was_on_its_way_when_the_job_ended_is_in_the_first_line() {
         let ended = |code: Code| {
-            let result = JobResult {
-                id: "a".into(),
-                status: JobStatus::Failed,
-                code: code.to_string(),
-                message: String::new(),
-                hint: String::new(),
-                moves: 0,
-                lower_bound: None,
-                seconds: 0.0,
-                times: Default::default(),
-                objects: Vec::new(),
-            };
+            let result = JobResult { code: code.to_string(), ..JobResult::sample("a", JobStatus::Failed) };
             JobRecord { ended_unix_s: Some(15.0), result: Some(result), ..JobRecord::sample("a") }
         };
         let (stopped, lost) = (ended(Code::ProtectiveStop), ended(Code::VacuumLost));

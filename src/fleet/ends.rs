@@ -7,6 +7,7 @@
 use crate::jobs::journal::places::Since;
 use crate::jobs::journal::{Journal, JournalError};
 use crate::jobs::record::JobRecord;
+use std::cmp::Ordering;
 use std::collections::BTreeSet;
 
 /// Which jobs had not ended, and how far the journal was read.
@@ -26,21 +27,30 @@ impl Ends {
         Ok(Ends { open, read_to: last })
     }
 
-    /// Jobs that have ended since the last look. One that the status still shows (`active`) is kept for the
-    /// next look: its last step is reported before its end.
+    /// Jobs that have ended since the last look, in the order of their ends. One that the status still shows
+    /// (`active`) is kept for the next look: its last step is reported before its end. A damaged row is left
+    /// out: it must not keep back the ends of all others.
     ///
     /// # Errors
-    /// SQLite fails, or a row is damaged; the next look begins where this one did.
+    /// SQLite fails ([`JournalError::Database`]); the next look begins where this one did.
     pub fn next(&mut self, journal: &Journal, active: Option<&str>) -> Result<Vec<JobRecord>, JournalError> {
         let Since { mut open, newer, last } = journal.since(self.read_to)?;
-        let mut ended = Vec::new();
+        let mut ended: Vec<JobRecord> = Vec::new();
         let over = self.open.iter().chain(&newer).filter(|id| !open.contains(*id)).collect::<Vec<_>>();
         for id in over {
-            match active == Some(id) {
-                true => drop(open.insert(id.clone())),
-                false => ended.extend(journal.job(id)?),
+            if active == Some(id) {
+                open.insert(id.clone());
+                continue;
+            }
+            match journal.job(id) {
+                Ok(job) => ended.extend(job),
+                Err(error @ JournalError::Damaged { .. }) => {
+                    tracing::warn!(job = id, %error, "the end of a job is not reported to the fleet");
+                }
+                Err(error) => return Err(error),
             }
         }
+        ended.sort_by(|a, b| a.ended_unix_s.partial_cmp(&b.ended_unix_s).unwrap_or(Ordering::Equal));
         *self = Ends { open, read_to: self.read_to.max(last) };
         Ok(ended)
     }
@@ -63,20 +73,9 @@ mod tests {
         assert_eq!(journal.claim(&job, NOW).unwrap(), Claim::Claimed { id: id.to_string() });
     }
 
-    fn finish(journal: &mut Journal, id: &str, status: JobStatus) {
-        let result = JobResult {
-            id: id.to_string(),
-            status,
-            code: status.as_str().to_string(),
-            message: String::new(),
-            hint: String::new(),
-            moves: 0,
-            lower_bound: None,
-            seconds: 0.0,
-            times: Default::default(),
-            objects: Vec::new(),
-        };
-        journal.finish(id, &result, NOW + 1.0).unwrap();
+    fn finish(journal: &mut Journal, id: &str, status: JobStatus, after_s: f64) {
+        let result = JobResult::sample(id, status);
+        journal.finish(id, &result, NOW + after_s).unwrap();
     }
 
     fn ids(ended: Vec<JobRecord>) -> Vec<String> {
@@ -88,7 +87,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut journal = Journal::open(&folder.path().join("history.sqlite")).unwrap();
         claim(&mut journal, "before");
-        finish(&mut journal, "before", JobStatus::Done);
+        finish(&mut journal, "before", JobStatus::Done, 1.0);
         claim(&mut journal, "waits");
         let mut ends = Ends::from_now(&journal).unwrap();
         assert_eq!(ids(ends.next(&journal, None).unwrap()), [""; 0]);
@@ -97,19 +96,36 @@ mod tests {
         claim(&mut journal, "cancelled");
         claim(&mut journal, "quick");
         claim(&mut journal, "stays");
-        finish(&mut journal, "cancelled", JobStatus::Cancelled);
+        finish(&mut journal, "cancelled", JobStatus::Cancelled, 2.0);
         journal.start("quick", NOW).unwrap();
-        finish(&mut journal, "quick", JobStatus::Done);
-        finish(&mut journal, "waits", JobStatus::Cancelled);
+        finish(&mut journal, "quick", JobStatus::Done, 3.0);
+        finish(&mut journal, "waits", JobStatus::Cancelled, 4.0);
         // The status shows the quick one still.
-        assert_eq!(ids(ends.next(&journal, Some("quick")).unwrap()), ["waits", "cancelled"]);
+        assert_eq!(ids(ends.next(&journal, Some("quick")).unwrap()), ["cancelled", "waits"]);
         assert_eq!(ids(ends.next(&journal, None).unwrap()), ["quick"]);
         assert_eq!(ids(ends.next(&journal, None).unwrap()), [""; 0]);
         // One that goes back to the queue has not ended.
         journal.start("stays", NOW).unwrap();
         journal.requeue("stays").unwrap();
         assert_eq!(ids(ends.next(&journal, None).unwrap()), [""; 0]);
-        finish(&mut journal, "stays", JobStatus::Failed);
+        finish(&mut journal, "stays", JobStatus::Failed, 5.0);
         assert_eq!(ids(ends.next(&journal, None).unwrap()), ["stays"]);
+    }
+
+    #[test]
+    fn a_damaged_row_does_not_keep_back_the_others() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("history.sqlite");
+        let mut journal = Journal::open(&path).unwrap();
+        let mut ends = Ends::from_now(&journal).unwrap();
+        for id in ["a", "b"] {
+            claim(&mut journal, id);
+            finish(&mut journal, id, JobStatus::Done, 1.0);
+        }
+        let other = rusqlite::Connection::open(&path).unwrap();
+        assert_eq!(other.execute("UPDATE jobs SET spec = '?' WHERE id = 'a'", []).unwrap(), 1);
+        assert!(matches!(journal.job("a"), Err(JournalError::Damaged { .. })));
+        assert_eq!(ids(ends.next(&journal, None).unwrap()), ["b"]);
+        assert_eq!(ids(ends.next(&journal, None).unwrap()), [""; 0]);
     }
 }

@@ -11,6 +11,8 @@ pub mod history;
 pub mod job_file;
 pub mod journal;
 pub mod record;
+#[cfg(test)]
+mod samples;
 pub mod spool;
 pub mod state;
 pub mod status;

@@ -353,30 +353,6 @@ impl JobRecord {
         self.approved.as_deref().and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default()
     }
 
-    /// A job that was done after a minute, for tests to change.
-    #[cfg(test)]
-    pub(crate) fn sample(id: &str) -> JobRecord {
-        JobRecord {
-            sequence: 1,
-            id: id.to_string(),
-            name: format!("{id}.yaml"),
-            sha256: String::new(),
-            text: String::new(),
-            spec: JobSpec::default(),
-            state: JobState::Ended(JobStatus::Done),
-            approved: None,
-            approved_unix_s: None,
-            found: Vec::new(),
-            found_unix_s: None,
-            resolved: None,
-            plan: None,
-            claimed_unix_s: 0.0,
-            started_unix_s: None,
-            ended_unix_s: Some(60.0),
-            result: None,
-        }
-    }
-
     /// When the job came, began and ended, as lines of `result.yaml`.
     pub fn times_yaml(&self) -> String {
         let time = |at: Option<f64>| at.map_or("null".to_owned(), |at| quoted(&utc::text(at)));

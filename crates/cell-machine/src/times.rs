@@ -113,7 +113,8 @@ impl TimeSplit {
 /// Where the time of a job went.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 pub struct JobTimes {
-    /// Each look at the whole table, with planning and what a person was waited for after it.
+    /// Each look at the whole table, with planning and what a person was waited for after it; the first also
+    /// with all that was waited for before it.
     pub rounds: Vec<TimeSplit>,
     /// Each pick-n-place, with the look before it.
     pub moves: Vec<TimeSplit>,
@@ -155,7 +156,6 @@ impl TimeBook {
     /// A path begins.
     pub fn begins_path(&mut self) {
         self.segments = 0;
-        self.awaits_round = false;
     }
 
     /// One segment of it is behind.

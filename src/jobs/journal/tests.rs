@@ -83,18 +83,7 @@ fn order_is_priority_then_time_then_arrival() {
 }
 
 fn result(id: &str, status: JobStatus) -> JobResult {
-    JobResult {
-        id: id.into(),
-        status,
-        code: "OK".into(),
-        message: String::new(),
-        hint: String::new(),
-        moves: 0,
-        lower_bound: Some(f64::NAN),
-        seconds: f64::INFINITY,
-        times: Default::default(),
-        objects: Vec::new(),
-    }
+    JobResult { lower_bound: Some(f64::NAN), seconds: f64::INFINITY, ..JobResult::sample(id, status) }
 }
 
 #[test]

@@ -277,18 +277,7 @@ fn a_lost_folder_is_restored_from_the_journal() {
 }
 
 fn result(id: &str, status: JobStatus) -> JobResult {
-    JobResult {
-        id: id.into(),
-        status,
-        code: "OK".into(),
-        message: String::new(),
-        hint: String::new(),
-        moves: 1,
-        lower_bound: Some(1.0),
-        seconds: 1.0,
-        times: Default::default(),
-        objects: Vec::new(),
-    }
+    JobResult { moves: 1, lower_bound: Some(1.0), seconds: 1.0, ..JobResult::sample(id, status) }
 }
 
 /// The daemon's day: take what is there, carry out two steps for each job, end it. Counts intents per job

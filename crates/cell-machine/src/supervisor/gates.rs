@@ -112,8 +112,8 @@ pub enum GateClosed {
     /// An object was held, and no person or picture has said that it is gone.
     #[error("{0} may hang on the cups")]
     MayHang(String),
-    /// The table changed since it was last seen.
-    #[error("the table was not observed since the last motion of an object")]
+    /// The table changed since it was last seen, or that was too long ago.
+    #[error("the table was not observed since the last motion of an object, or too long ago")]
     NotObserved,
     /// The plan waits for a person.
     #[error("the plan is not approved")]

@@ -22,7 +22,6 @@ pub(crate) struct Sight {
     pub since_whole: u32,
     /// When the last look that showed an object was over: a slow arm may take long from stop to stop, and
     /// what a look has just shown is not old for that.
-    #[serde(default)]
     pub looked_at: BTreeMap<String, Timestamp>,
 }
 

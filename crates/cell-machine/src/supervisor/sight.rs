@@ -5,9 +5,9 @@
 //! of a part of the table put together with what was seen before. A pick-n-place disturbs what its object
 //! and a slip of it can reach round its two places, and whatever reaches into that. Before the next one
 //! all of that is seen again, and where the next one picks and places: between, a hand may have been
-//! there; and every object that was seen too long ago, or soon will be. The whole table is looked at when
-//! nothing is known of it, at the end of a job, when a look shows anything unexpected, and every so many
-//! pick-n-places.
+//! there; and every object that was last seen so long ago that it will soon be too old. The whole table is
+//! looked at when nothing is known of it, when something is too old, at the end of a job, when a look shows
+//! anything unexpected, and every so many pick-n-places.
 
 use crate::code::Code;
 use crate::supervisor::cell::Supervisor;
@@ -117,7 +117,9 @@ impl Supervisor {
         let next = self.job.as_ref()?.route.as_ref()?.first()?;
         let object = self.model.object(&next.object)?;
         let is_due = self.sight.since_whole >= self.model.tolerances.full_look_every;
-        if self.back.recovery.is_some() || self.seen.is_none() || is_due {
+        // A part after the other would not do for an arm so slow that the first is old after the second.
+        let is_old = self.seen_before(now, 1.0).next().is_some();
+        if self.back.recovery.is_some() || self.seen.is_none() || is_due || is_old {
             return None;
         }
         let region = self.region_for(now, next, object);
