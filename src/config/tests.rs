@@ -143,19 +143,20 @@ fn limits_are_not_optional() {
     }
 }
 
-/// A real robot's silence ends a motion after 100 ms. A simulated one gets as long on the wall's clock, by
-/// which the system keeps a process waiting.
+/// In scaled time the simulator is silent for 250 ms of the wall's clock at most while it waits for celld
+/// itself.
 #[test]
-fn simulated_time_that_goes_faster_takes_no_patience_away() {
-    let stale = |simulation: &str| {
+fn a_robot_may_be_silent_for_longer_only_where_its_simulator_holds_the_clock() {
+    let held = |simulation: &str| {
         let text = replace_once(CELL, "simulation: {clock_factor: 1}", simulation);
-        machine_parameters(&cell(&text).unwrap(), 0).robot.stale_after
+        machine_parameters(&cell(&text).unwrap(), 0).robot.held_for
     };
     let ms = Duration::from_millis;
-    assert_eq!(stale("simulation: null"), ms(100));
-    assert_eq!(stale("simulation: {clock_factor: 4}"), ms(400));
-    assert_eq!(stale("simulation: {clock_factor: 0.5}"), ms(100));
-    assert_eq!(stale("simulation: {clock_factor: 1000}"), ms(2000), "below the silence that ends the link");
+    assert_eq!(held("simulation: null"), ms(0));
+    assert_eq!(held("simulation: {clock_factor: 1}"), ms(0));
+    assert_eq!(held("simulation: {clock_factor: 0.5}"), ms(0));
+    assert_eq!(held("simulation: {clock_factor: 4}"), ms(1200));
+    assert_eq!(held("simulation: {clock_factor: 1000}"), ms(2000), "below the silence that ends the link");
 }
 
 #[test]

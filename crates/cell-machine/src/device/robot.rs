@@ -28,7 +28,7 @@ use crate::device::outbox::earlier;
 use crate::device::primary_session::PrimarySession;
 use crate::device::program::{ProgramTemplate, TemplateError};
 use crate::device::robot_types::{
-    Link, ProgramEnd, Refused, RobotCommand, RobotEvent, RobotParameters, RobotState,
+    Link, ProgramEnd, Refused, RobotCommand, RobotEvent, RobotParameters, RobotState, STALE_AFTER,
 };
 use crate::device::rtde_session::RtdeSession;
 use crate::device::stream::Stream;
@@ -48,7 +48,7 @@ const FAULT_WINDOW: Duration = Duration::from_secs(60);
 /// The session. See the module.
 #[derive(Deserialize, Serialize)]
 pub struct Robot {
-    stale_after: Duration,
+    held_for: Duration,
     template: ProgramTemplate,
     rtde: RtdeSession,
     dashboard: DashboardSession,
@@ -95,7 +95,7 @@ impl Robot {
     /// The program text is not a template.
     pub fn new(parameters: RobotParameters) -> Result<Robot, TemplateError> {
         Ok(Robot {
-            stale_after: parameters.stale_after,
+            held_for: parameters.held_for,
             template: ProgramTemplate::new(&parameters.program_text, parameters.watchdog_frames)?,
             rtde: RtdeSession::new(parameters.frequency_hz, parameters.process),
             dashboard: DashboardSession::default(),
@@ -237,7 +237,7 @@ impl Robot {
 
     /// True if the state may be used to start a motion.
     pub fn fresh(&self, now: Timestamp) -> bool {
-        self.state.as_ref().is_some_and(|state| now.since(state.received) <= self.stale_after)
+        self.state.as_ref().is_some_and(|state| now.since(state.received) <= STALE_AFTER + self.held_for)
     }
 
     /// True unless a program is being started, stopped or ended: a new one would be refused meanwhile.

@@ -85,8 +85,9 @@ pub struct RobotParameters {
     pub frequency_hz: f64,
     /// The number of this process, for another celld that finds the robot taken.
     pub process: u32,
-    /// A state older than this starts no motion and ends the one under way; [`STALE_AFTER`] on a real robot.
-    pub stale_after: Duration,
+    /// So much longer than a real robot a simulated one may be silent: for as long its simulator may hold
+    /// its clock. Zero on a real robot.
+    pub held_for: Duration,
 }
 
 impl RobotParameters {
@@ -98,7 +99,7 @@ impl RobotParameters {
             watchdog_frames: WATCHDOG_FRAMES,
             frequency_hz: 500.0,
             process: 1,
-            stale_after: STALE_AFTER,
+            held_for: Duration::ZERO,
         }
     }
 }
