@@ -264,12 +264,18 @@ async fn storm(options: &Options) -> bool {
     let begun = Instant::now();
     tokio::spawn(follow_writes(connect(&storm.server).await, storm.writes.clone()));
     let submitting = tokio::spawn(submit(connect(&storm.server).await, options.jobs, options.pace_ms));
-    let (mut before, mut at, mut longest_pause) = (0, Instant::now(), Duration::ZERO);
+    let (mut before, mut at) = (0, Instant::now());
+    // With how many had ended after it.
+    let (mut first_s, mut longest_pause) = (0.0, (Duration::ZERO, 0));
     while storm.seen.over < options.jobs && begun.elapsed() < MOST {
         storm.change().await;
         let over = storm.seen.over;
         if over > before {
-            longest_pause = longest_pause.max(at.elapsed());
+            if before == 0 {
+                first_s = at.elapsed().as_secs_f64();
+            } else {
+                longest_pause = longest_pause.max((at.elapsed(), over));
+            }
             if over / 1000 > before / 1000 {
                 println!("{over} over after {:.0} s", begun.elapsed().as_secs_f64());
             }
@@ -282,7 +288,12 @@ async fn storm(options: &Options) -> bool {
     let (killed, server_killed) = (storm.killed, storm.server_killed);
     println!("submitted {new}, ended {over}, in {seconds:.0} s");
     println!("{killed} kills of cells, {server_killed} of the server");
-    println!("longest pause between two jobs that ended: {:.2} s", longest_pause.as_secs_f64());
+    let (pause, ended_it) = longest_pause;
+    println!("the first job ended after {first_s:.2} s");
+    println!(
+        "longest pause between two jobs that ended: {:.2} s, before job {ended_it}",
+        pause.as_secs_f64()
+    );
     storm.verdict()
 }
 
