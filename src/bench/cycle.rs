@@ -208,13 +208,14 @@ pub fn scene_figures(pace: &Pace, name: &str, seeds: u64) -> SceneFigures {
     }
 }
 
-/// One job of a scene.
+/// The cell of a scene in virtual time, brought up, and the scene; objects are at its starts.
 ///
 /// # Errors
 /// The scene cannot be set up.
-pub fn run(pace: &Pace, name: &str, seed: u64) -> Result<CycleRun, String> {
+pub fn cell_of(pace: &Pace, name: &str, pairing: Choice) -> Result<(Pair, Instance), String> {
     let given = scene(name).map_err(|error| error.to_string())?;
     let instance = fitted(&given, None)?;
+    let seed = pairing.seed;
     let choice = DemoChoice {
         bind: IpAddr::V4(Ipv4Addr::LOCALHOST),
         time_factor: 1.0,
@@ -228,12 +229,21 @@ pub fn run(pace: &Pace, name: &str, seed: u64) -> Result<CycleRun, String> {
     // Corners have no depth.
     config.foreign = ForeignRule::Off;
     let stage = stage_of(&config, &sim_file(&instance, &config, &choice)?, seed)?;
-    let model = stage.model.clone();
-    let mut pair = Pair::new(stage, Choice { eye: SightKind::Corners, ..Choice::of(seed) })
-        .map_err(|error| error.to_string())?;
+    let mut pair =
+        Pair::new(stage, Choice { eye: SightKind::Corners, ..pairing }).map_err(|error| error.to_string())?;
     if !bring_up(&mut pair) {
         return Err("the cell did not come up".to_string());
     }
+    Ok((pair, instance))
+}
+
+/// One job of a scene.
+///
+/// # Errors
+/// The scene cannot be set up.
+pub fn run(pace: &Pace, name: &str, seed: u64) -> Result<CycleRun, String> {
+    let (mut pair, instance) = cell_of(pace, name, Choice::of(seed))?;
+    let model = pair.machine().supervisor().ok_or("no cell")?.model().clone();
     pair.order(Order::Arm);
     pair.submit(order_of(&instance, seed));
     let mut rests: Vec<Rest> = Vec::new();
@@ -265,7 +275,8 @@ pub fn run(pace: &Pace, name: &str, seed: u64) -> Result<CycleRun, String> {
     })
 }
 
-fn order_of(instance: &Instance, seed: u64) -> JobOrder {
+/// The job that brings every object of a scene to its goal.
+pub fn order_of(instance: &Instance, seed: u64) -> JobOrder {
     let goals = instance.objects.iter().filter(|object| !object.fixed);
     JobOrder {
         id: "cycle".to_string(),

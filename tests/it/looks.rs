@@ -4,8 +4,9 @@
 
 use cell_machine::code::Code;
 use cell_machine::orders::Order;
+use cell_machine::supervisor::order::JobOrder;
 use cell_machine::times::Use;
-use celld::bench::cycle::{CycleRun, FAST, USUAL, run};
+use celld::bench::cycle::{CycleRun, FAST, USUAL, cell_of, order_of, run};
 use celld::pair::camera_view::SightKind;
 use celld::pair::disk::Mood;
 use celld::pair::hands::hands;
@@ -14,6 +15,7 @@ use celld::pair::table::stage;
 use celld::pair::work::job;
 use celld::pair::{Choice, Pair};
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
+use rearrange::planning::plan::Objective;
 
 /// `celld simulate --faults hands` runs as many as there is time for.
 #[test]
@@ -65,6 +67,23 @@ fn the_seconds_of_a_job_add_up_and_a_slow_disk_costs_nothing_while_the_arm_moves
         assert!((slow[0] - fine[0] - 0.29).abs() < 0.05, "seed {seed}: {slow:?}");
         assert!(slow[1..].iter().all(|seconds| *seconds < 0.02), "seed {seed}: {slow:?}");
     }
+}
+
+/// A plan by time that the search had no time to make a good one: the rest becomes better while the arm
+/// moves, and what is carried out brings every object to its goal.
+#[test]
+fn the_rest_of_a_plan_becomes_better_while_the_arm_moves() {
+    let choice = Choice { plan_work: 4000, ..Choice::of(4) };
+    let (mut pair, instance) = cell_of(&FAST, "planks", choice).expect("a cell");
+    pair.order(Order::Arm);
+    pair.submit(JobOrder { objective: Objective::Time, ..order_of(&instance, 4) });
+    assert!(pair.run_until(600.0, |pair| !pair.reports().is_empty()));
+    let report = &pair.reports()[0];
+    assert_eq!((report.code, pair.breaches()), (Code::Done, &[][..]), "{report:?}");
+    let said = pair.notices().iter().map(|notice| notice.text.as_str());
+    let better = said.filter(|text| text.starts_with("a better rest of the plan")).count();
+    let planned = report.planned.expect("a plan").0;
+    assert!(better > 0 && report.moves <= planned, "{better}: {} of {planned}", report.moves);
 }
 
 #[test]

@@ -8,9 +8,9 @@ use crate::plan_check::OutOfReach;
 use crate::quickest::quickest;
 use crate::supervisor::input::{PlanAnswer, PlanRequest};
 use rearrange::geometry::pose::Pose2;
-use rearrange::planning::plan::{Action, Status};
+use rearrange::planning::plan::{Action, Objective, Status};
 use rearrange::planning::problem::Problem;
-use rearrange::planning::solver::{Control, solve};
+use rearrange::planning::solver::{Control, cost, solve};
 
 /// Plans that are tried where the arm cannot carry the first one out for a buffer that it chose.
 const TRIES: u32 = 4;
@@ -18,9 +18,44 @@ const TRIES: u32 = 4;
 /// A quicker order is searched for this long at most, s: the arm waits for it.
 const ORDERING_S: f64 = 0.5;
 
+/// A plan that takes so much less time is worth a change, s.
+const WORTH_S: f64 = 0.5;
+
+/// Costs that differ by less are equal but for the rounding of sums.
+const ROUNDING: f64 = 1e-9;
+
 /// One planning run. `over` ends each of its tries, which it gets the number of (from 0), and so does the
 /// work limit; `seconds` says how long the run has taken.
 pub fn answer(
+    request: &PlanRequest,
+    work_limit: Option<u64>,
+    over: &(dyn Fn(u32) -> bool + Sync),
+    seconds: &dyn Fn() -> f64,
+) -> PlanAnswer {
+    let found = search(request, work_limit, over, seconds);
+    if request.known_plan.is_empty() { found } else { better(request, found) }
+}
+
+/// The answer where it is worth leaving the known plan for it, else that one. Whether that can still be
+/// carried out is for others to judge: what was measured may be nearer together than a new plan would bring
+/// it, and still do.
+fn better(request: &PlanRequest, answer: PlanAnswer) -> PlanAnswer {
+    let PlanAnswer::Found { actions, lower_bound, seconds, .. } = &answer else { return answer };
+    let known = &request.known_plan;
+    let Ok(problem) = Problem::new(&request.instance) else { return answer };
+    let travel = |actions: &[Action]| request.times.seconds(actions.iter().map(|a| (a.from, a.to)));
+    let control = Control { seconds: Some(&travel), ..Control::until(&|| true) };
+    let price = |actions: &[Action]| cost(&problem, request.objective, &control, actions);
+    let gain = price(known) - price(actions);
+    let worth = if request.objective == Objective::Time { WORTH_S } else { ROUNDING };
+    if gain > worth || gain > -ROUNDING && travel(known) - travel(actions) > WORTH_S {
+        return answer;
+    }
+    let (lower_bound, seconds) = (*lower_bound, *seconds);
+    PlanAnswer::Found { actions: known.clone(), cost: price(known), lower_bound, seconds }
+}
+
+fn search(
     request: &PlanRequest,
     work_limit: Option<u64>,
     over: &(dyn Fn(u32) -> bool + Sync),
@@ -114,6 +149,7 @@ fn solved(
         work_limit,
         seconds: Some(&travel),
         least_move_seconds: request.times.least_move_seconds(),
+        known_plan: &request.known_plan,
         ..Control::until(over)
     };
     let seed = request.seed.wrapping_add(u64::from(attempt));
@@ -145,7 +181,7 @@ mod tests {
     use cell_motion::testing::{cycle, home, model, task};
     use cell_values::time::Duration;
     use rearrange::geometry::footprint::Footprint;
-    use rearrange::planning::plan::Objective;
+    use rearrange::planning::plan::ActionKind;
     use rearrange::planning::solver::SolverKind;
     use rearrange::tabletop::instance::{Instance, ObjectSpec, Workspace};
     use std::sync::{Arc, Mutex};
@@ -205,7 +241,56 @@ mod tests {
                 mask: Arc::default(),
                 arm,
             },
+            known_plan: Vec::new(),
         }
+    }
+
+    /// What is known is left for a plan with fewer pick-n-places, or that takes less time, and for no other.
+    #[test]
+    fn a_known_plan_is_left_for_a_better_one_alone() {
+        let of = |request: &PlanRequest| match answer(request, Some(20_000), &|_| false, &|| 0.0) {
+            PlanAnswer::Found { actions, cost, .. } => (actions, cost),
+            other => panic!("{other:?}"),
+        };
+        let (best, _) = of(&swap(false));
+        let [aside, ..] = best[..] else { panic!("{best:?}") };
+        // Once more aside, a little farther.
+        let farther = Pose2 { y: aside.to.y + 0.02, ..aside.to };
+        let moved = |action: Action| {
+            let again = action.object == aside.object && action.from == aside.to;
+            if again { Action { from: farther, ..action } } else { action }
+        };
+        let known: Vec<Action> = [aside, Action { from: aside.to, to: farther, ..aside }]
+            .into_iter()
+            .chain(best[1..].iter().copied().map(moved))
+            .collect();
+        let (found, cost) = of(&PlanRequest { known_plan: known.clone(), ..swap(false) });
+        assert!(found.len() == 3 && cost == 3.0 && known.len() == 4, "{found:?}");
+        let (found, cost) = of(&PlanRequest { known_plan: best.clone(), ..swap(false) });
+        assert_eq!((found, cost), (best.clone(), 3.0));
+    }
+
+    /// As many pick-n-places are a change where they take clearly less time.
+    #[test]
+    fn of_plans_of_the_same_cost_the_quicker_one_is_taken_where_it_is_worth_it() {
+        let buffered = |to: Pose2| {
+            let action = |object, from, to, kind| Action { object, from, to, kind };
+            let (goal, buffer) = (ActionKind::Goal, ActionKind::Buffer);
+            vec![action(0, LEFT, to, buffer), action(1, RIGHT, LEFT, goal), action(0, to, RIGHT, goal)]
+        };
+        let at = |x, y| Pose2::new(x, y, 0.0);
+        let [quick, slow, alike] = [at(0.25, 0.25), at(0.25, 0.46), at(0.25, 0.252)].map(buffered);
+        let taken = |known: &[Action], found: &[Action]| {
+            let request = PlanRequest { known_plan: known.to_vec(), ..swap(false) };
+            let actions = found.to_vec();
+            match better(&request, PlanAnswer::Found { actions, cost: 3.0, lower_bound: 3.0, seconds: 0.1 }) {
+                PlanAnswer::Found { actions, .. } => actions,
+                other => panic!("{other:?}"),
+            }
+        };
+        assert_eq!(taken(&slow, &quick), quick);
+        assert_eq!(taken(&quick, &slow), quick);
+        assert_eq!(taken(&alike, &quick), alike, "not worth a change");
     }
 
     #[test]

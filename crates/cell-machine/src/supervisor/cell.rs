@@ -300,6 +300,8 @@ impl Supervisor {
             started: now,
             route: None,
             approved: false,
+            improvable: false,
+            improving: None,
             moves: 0,
             planned: None,
             lower_bound: None,

@@ -145,6 +145,8 @@ pub struct PlanRequest {
     pub times: CycleTimes,
     /// What the arm can do of a plan; its objects are those of the instance, in the same order.
     pub limits: PlanLimits,
+    /// A plan that is there already, empty for none: the answer is one that is worth the change, or this.
+    pub known_plan: Vec<PlanAction>,
 }
 
 /// A plan with what a person needs to judge it.

@@ -20,6 +20,7 @@ mod free_place;
 pub mod gates;
 mod holding;
 pub mod identity;
+mod improve;
 pub mod input;
 mod judge;
 mod lapse;

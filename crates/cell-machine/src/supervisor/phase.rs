@@ -201,6 +201,10 @@ pub(crate) struct JobRun {
     /// What remains to be done; `None` before planning or when the table disagreed.
     pub route: Option<Vec<RouteAction>>,
     pub approved: bool,
+    /// A better plan than this has not been ruled out.
+    pub improvable: bool,
+    /// What the planner works on while the arm moves.
+    pub improving: Option<Improving>,
     pub moves: usize,
     pub planned: Option<(usize, usize)>,
     pub lower_bound: Option<f64>,
@@ -218,6 +222,15 @@ pub(crate) struct JobRun {
     pub absent_reported: bool,
     pub last_seen: Vec<LastSeen>,
     pub cancel: bool,
+}
+
+/// A rest of the route that is planned again while the arm moves.
+#[derive(Debug, Deserialize, Serialize)]
+pub(crate) struct Improving {
+    /// The number of the pick-n-place under way.
+    pub step: usize,
+    /// The table as it will be after that.
+    pub expected: Observation,
 }
 
 /// Where the camera saw an object last.

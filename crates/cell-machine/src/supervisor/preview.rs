@@ -37,7 +37,8 @@ impl Supervisor {
             }
         };
         if let Some(job) = &mut self.job {
-            job.preview = Some(requested);
+            // The next answer is the preview's.
+            (job.preview, job.improving) = (Some(requested), None);
         }
     }
 

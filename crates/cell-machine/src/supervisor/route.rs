@@ -7,6 +7,7 @@
 use crate::code::{Code, JobStatus};
 use crate::orders::Approval;
 use crate::supervisor::cell::Supervisor;
+use crate::supervisor::improve::is_best;
 use crate::supervisor::input::{Action, DeviceSnapshot, PlanAnswer, PlanRequest};
 use crate::supervisor::model::CellObject;
 use crate::supervisor::order::{JobOrder, RouteAction};
@@ -187,6 +188,7 @@ impl Supervisor {
             time_limit: order.time_limit,
             times: self.cycle_times(),
             limits: self.plan_limits(seen),
+            known_plan: Vec::new(),
         }
     }
 
@@ -202,10 +204,13 @@ impl Supervisor {
 
     pub(crate) fn on_planned(&mut self, now: Timestamp, answer: PlanAnswer, out: &mut Vec<Action>) {
         if !matches!(self.phase, Phase::Plan) {
-            return self.on_preview(now, &answer, out);
+            return match self.job.as_mut().and_then(|job| job.improving.take()) {
+                Some(improving) => self.on_improved(now, &improving, &answer, out),
+                None => self.on_preview(now, &answer, out),
+            };
         }
         self.phase = Phase::Ready;
-        let PlanAnswer::Found { actions, lower_bound, seconds, .. } = answer else {
+        let PlanAnswer::Found { actions, cost, lower_bound, seconds } = answer else {
             let reason = why_no_plan(&answer);
             return self.finish(now, JobStatus::Failed, reason, out);
         };
@@ -229,6 +234,7 @@ impl Supervisor {
             job.planning_seconds = seconds;
         }
         job.replans += 1;
+        job.improvable = !is_best(cost, lower_bound);
         job.approved = match job.order.approval {
             Approval::Never => true,
             Approval::Job => job.approved || !job.order.agreed.is_empty(),

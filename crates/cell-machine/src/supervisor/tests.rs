@@ -587,6 +587,7 @@ fn a_plan_approved_late_waits_for_a_new_look() {
 mod arming;
 mod faults;
 mod foreign;
+mod improve;
 mod lapse;
 mod moving;
 mod preview;

@@ -189,6 +189,7 @@ impl Supervisor {
         work.stage = WorkStage::Approaching { segments: work.paths.approach.segments().len() };
         out.push(Action::Robot(RobotCommand::Stream(work.paths.approach.clone())));
         self.remaining = self.model.tolerances.phase_deadline;
+        self.begin_improving(out);
     }
 
     /// An object so tall that the gripper's body, coming down for the pick or the place, would touch it. The

@@ -1,0 +1,101 @@
+//! A better rest of the plan, searched for while the arm moves.
+//!
+//! In: the route, and the table as it will be after the pick-n-place under way. Out: a plan request that
+//! names the rest as it is; what is found before that pick-n-place is over takes its place. A plan that is
+//! proved to be the best is left as it is. So is one of which a person approves every change: the arm would
+//! have to wait for that, and the person has agreed to this one.
+
+use crate::orders::Approval;
+use crate::supervisor::cell::Supervisor;
+use crate::supervisor::input::{Action, PlanAnswer, PlanRequest};
+use crate::supervisor::order::RouteAction;
+use crate::supervisor::phase::{Improving, Phase};
+use crate::supervisor::reason::say;
+use cell_values::time::{Duration, Timestamp};
+use cell_vision::observe::Observation;
+use rearrange::planning::plan::{Action as PlanAction, ActionKind};
+
+/// Costs that differ by less (share) are equal but for the rounding of sums.
+const ROUNDING: f64 = 1e-9;
+
+/// No plan is cheaper than this one.
+pub(crate) fn is_best(cost: f64, lower_bound: f64) -> bool {
+    cost <= lower_bound + ROUNDING * lower_bound.abs().max(1.0)
+}
+
+impl Supervisor {
+    /// The arm sets out for a pick-n-place: meanwhile what comes after it is planned again.
+    pub(crate) fn begin_improving(&mut self, out: &mut Vec<Action>) {
+        let improvement = self.improvement();
+        let Some(job) = &mut self.job else { return };
+        job.improving = None;
+        if let Some((improving, request)) = improvement {
+            job.improving = Some(improving);
+            out.push(Action::Plan(Box::new(request)));
+        }
+    }
+
+    fn improvement(&self) -> Option<(Improving, PlanRequest)> {
+        let (job, seen) = (self.job.as_ref()?, self.seen.as_ref()?);
+        let [under_way, rest @ ..] = job.route.as_deref()? else { return None };
+        // A single pick-n-place has no order, and nothing shorter.
+        if !job.improvable || rest.len() < 2 || job.order.approval == Approval::Always {
+            return None;
+        }
+        let mut expected = seen.clone();
+        expected.objects.iter_mut().find(|object| object.id == under_way.object)?.pose = under_way.to;
+        let known_plan = self.actions_of(rest, &expected)?;
+        // Another seed for every pick-n-place.
+        let attempt = job.replans.saturating_add(job.moves as u32);
+        let request = self.plan_request(&job.order, attempt, &job.order.goals, &expected);
+        let lasts_s = self.cycle_times().seconds([(under_way.from, under_way.to)]);
+        let time_limit = request.time_limit.min(Duration::from_secs_f64(lasts_s));
+        let request = PlanRequest { known_plan, time_limit, ..request };
+        Some((Improving { step: job.moves, expected }, request))
+    }
+
+    /// A route as a planner has it, on the table as it will be.
+    fn actions_of(&self, route: &[RouteAction], expected: &Observation) -> Option<Vec<PlanAction>> {
+        let action = |action: &RouteAction| {
+            let mut listed = (0..expected.objects.len()).map_while(|index| self.listed(expected, index));
+            let object = listed.position(|id| id == action.object)?;
+            let kind = if action.to_goal { ActionKind::Goal } else { ActionKind::Buffer };
+            Some(PlanAction { object, from: action.from, to: action.to, kind })
+        };
+        route.iter().map(action).collect()
+    }
+
+    /// The planner's word on the rest of the plan. What comes too late, or is none, changes nothing.
+    pub(crate) fn on_improved(
+        &mut self,
+        now: Timestamp,
+        improving: &Improving,
+        answer: &PlanAnswer,
+        out: &mut Vec<Action>,
+    ) {
+        let under_way = matches!(&self.phase, Phase::Work(work) if !work.over);
+        let PlanAnswer::Found { actions, cost, lower_bound, .. } = answer else { return };
+        let Some(rest) = self.route_of(actions, &improving.expected) else { return };
+        let note = self.plan_note(&rest, *lower_bound, &improving.expected, None);
+        let Some(job) = self.job.as_mut().filter(|job| under_way && job.moves == improving.step) else {
+            return;
+        };
+        job.improvable = !is_best(*cost, *lower_bound);
+        let Some(route) = job.route.as_mut().filter(|route| route.get(1..).is_some_and(|old| *old != *rest))
+        else {
+            return;
+        };
+        let before: Vec<RouteAction> = route.splice(1.., rest).collect();
+        let before_s = self.cycle_times().seconds(before.iter().map(|action| (action.from, action.to)));
+        say(
+            out,
+            format!(
+                "a better rest of the plan: {} pick-n-places in about {:.1} s, in place of {} in {before_s:.1} s",
+                note.actions.len(),
+                note.seconds,
+                before.len(),
+            ),
+        );
+        self.commit_plan(now, note, out);
+    }
+}
