@@ -28,10 +28,11 @@ const SAME_PLACE_RAD: f64 = 2e-4;
 impl Look {
     /// On the way to the first pose of a plan.
     pub(crate) fn begun(plan: LookPlan) -> Look {
-        let LookPlan { poses, region } = plan;
+        let LookPlan { poses, region, for_age } = plan;
         Look {
             poses,
             region,
+            for_age,
             at: 0,
             stage: LookStage::Moving,
             views: Vec::new(),
@@ -310,6 +311,7 @@ impl Supervisor {
             return;
         }
         let (region, stops) = (look.region.take(), std::mem::take(&mut look.stops));
+        let for_age = std::mem::take(&mut look.for_age);
         self.phase = Phase::Ready;
         let observation = match result {
             Ok(observation) => *observation,
@@ -343,7 +345,7 @@ impl Supervisor {
             return self.look_again(now, rejection, out);
         }
         let observation = match region {
-            Some(region) => self.with_what_is_remembered(observation, &region),
+            Some(region) => self.with_what_is_remembered(observation, &region, &for_age),
             None => observation,
         };
         self.back.table = observation.objects.iter().map(|object| (object.id.clone(), object.pose)).collect();

@@ -31,6 +31,8 @@ pub(crate) struct Sight {
 pub(crate) struct LookPlan {
     pub poses: Vec<Joints>,
     pub region: Option<Region>,
+    /// Objects whose places are in the region because they will soon be too old, and for nothing else.
+    pub for_age: Vec<String>,
 }
 
 /// A stop of a look for its frames.

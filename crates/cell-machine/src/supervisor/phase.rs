@@ -57,6 +57,8 @@ pub(crate) struct Look {
     pub at: usize,
     /// What has to be seen; `None`: the whole table.
     pub region: Option<Region>,
+    /// What need not be seen although it is in there: it will soon be too old.
+    pub for_age: Vec<String>,
     pub stage: LookStage,
     /// What the pictures show that were searched.
     pub views: Vec<View>,

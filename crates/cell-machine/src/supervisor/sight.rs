@@ -105,7 +105,7 @@ impl Supervisor {
 
     /// All of the table, from the taught poses.
     pub(crate) fn whole_look(&self) -> LookPlan {
-        LookPlan { poses: self.model.look_poses.clone(), region: None }
+        LookPlan { poses: self.model.look_poses.clone(), region: None, for_age: Vec::new() }
     }
 
     /// The look that what comes next needs, for an arm at `from`.
@@ -122,10 +122,10 @@ impl Supervisor {
         if self.back.recovery.is_some() || self.seen.is_none() || is_due || is_old {
             return None;
         }
-        let region = self.region_for(now, next, object);
+        let (region, for_age) = self.region_for(now, next, object);
         let over_pick = self.over_pick(next, object);
         let poses = self.poses_for(from, &region, over_pick.as_ref())?;
-        Some(LookPlan { poses, region: Some(region) })
+        Some(LookPlan { poses, region: Some(region), for_age })
     }
 
     /// A look at the place of what was let go, where that has not been seen yet.
@@ -134,7 +134,7 @@ impl Supervisor {
         let radius = self.model.object(&held.object)?.footprint.bounding_radius() + AROUND_M;
         let region = Region::disc([held.to.x, held.to.y], radius);
         let poses = self.poses_for(from, &region, None)?;
-        Some(LookPlan { poses, region: Some(region) })
+        Some(LookPlan { poses, region: Some(region), for_age: Vec::new() })
     }
 
     /// The cheapest poses to see a region from, free with what may hang on the cups.
@@ -146,8 +146,9 @@ impl Supervisor {
         self.model.views()?.covering(&self.model.rig(), region, &price, &free)
     }
 
-    /// What has to be seen before a pick-n-place.
-    fn region_for(&self, now: Timestamp, next: &RouteAction, object: &CellObject) -> Region {
+    /// What has to be seen before a pick-n-place, with the places of what will soon be too old; and what is
+    /// in there for its age alone.
+    fn region_for(&self, now: Timestamp, next: &RouteAction, object: &CellObject) -> (Region, Vec<String>) {
         let mut region = self.sight.disturbed.clone();
         let radius = object.footprint.bounding_radius() + AROUND_M;
         for pose in [&next.from, &next.to] {
@@ -160,12 +161,15 @@ impl Supervisor {
                 region.join(&marker);
             }
         }
-        for old in self.seen_before(now, SOON) {
+        let old = self.seen_before(now, SOON);
+        let old: Vec<_> = old.filter(|old| !self.should_show(&old.id, &old.pose, &region)).collect();
+        for old in &old {
             if let Some(known) = self.model.object(&old.id) {
                 region.join(&marker_place(known, &old.pose));
             }
         }
-        region
+        let for_age = old.into_iter().map(|old| old.id.clone()).collect();
+        (region, for_age)
     }
 
     /// The place of an object's marker, where what was disturbed reaches into the object: it
@@ -201,8 +205,14 @@ impl Supervisor {
     }
 
     /// An observation of a part of the table, with what was seen before of the rest. What the part should
-    /// have shown and did not is missing, whatever is remembered.
-    pub(crate) fn with_what_is_remembered(&self, now: Observation, region: &Region) -> Observation {
+    /// have shown and did not is missing, whatever is remembered. What was in it for its age alone may be
+    /// hidden from there: it is as old as it was, and a look at the whole table comes when that is too old.
+    pub(crate) fn with_what_is_remembered(
+        &self,
+        now: Observation,
+        region: &Region,
+        for_age: &[String],
+    ) -> Observation {
         let Some(before) = &self.seen else { return now };
         let named = |id: &str| {
             now.suspicious.iter().any(|doubted| doubted.id == id)
@@ -210,7 +220,8 @@ impl Supervisor {
         };
         let remembered = |id: &str| {
             let known = before.object(id)?;
-            (!named(id) && !self.should_show(id, &known.pose, region)).then(|| known.clone())
+            let had_to = !for_age.iter().any(|old| old == id) && self.should_show(id, &known.pose, region);
+            (!named(id) && !had_to).then(|| known.clone())
         };
         let mut objects = now.objects;
         let mut missing = Vec::new();

@@ -226,6 +226,24 @@ fn what_will_soon_be_too_old_is_seen_with_the_next_look() {
     assert!(look.region.contains([AT_C.x, AT_C.y]));
 }
 
+/// Behind something high, for example: that is no reason to doubt where it is before it is too old.
+#[test]
+fn what_is_not_seen_although_it_will_soon_be_too_old_is_remembered_as_old_as_it_is() {
+    let mut bench = carried_out();
+    bench.ticks(50);
+    bench.cell.model.tolerances.retries = 0;
+    bench.cell.model.tolerances.observation_age = Duration::from_secs_f64(1.5 * age_of_c(&bench));
+    until_looking(&mut bench);
+    reach_and_picture(&mut bench);
+    let before = age_of_c(&bench);
+    let goes = bench.feed(Input::Observed(Ok(Box::new(seen(&bench, &[("a", GOAL_A), ("b", AT_B)])))));
+    assert_eq!((streams(&goes), ended(&goes)), (1, None), "{goes:?}");
+    assert_eq!(bench.cell.pick_n_place().map(|work| work.object), Some("b"));
+    assert!(age_of_c(&bench) > before, "it was not seen");
+    let missing = &bench.cell.observation().expect("seen").missing;
+    assert!(missing.is_empty(), "{missing:?}");
+}
+
 #[test]
 fn nothing_is_picked_while_a_part_of_the_table_was_seen_too_long_ago() {
     let mut bench = carried_out();
