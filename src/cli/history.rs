@@ -250,6 +250,7 @@ mod tests {
             seconds: Some(8.0),
             table: vec![at],
             preview: false,
+            made: 0,
             sight_age_s: 0.0,
             unix_s: 1.7e9,
         };

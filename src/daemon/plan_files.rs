@@ -35,6 +35,7 @@ pub fn record_of(note: &PlanNote, unix_s: f64) -> PlanRecord {
     PlanRecord {
         number: note.number,
         steps: note.actions.iter().map(step).collect(),
+        made: note.made,
         lower_bound: finite(note.lower_bound),
         seconds: finite(note.seconds),
         table: poses(&note.table),
@@ -84,7 +85,7 @@ fn plan_json(id: &str, plan: &PlanRecord) -> serde_json::Value {
     json!({
         "job": id, "number": plan.number, "preview": plan.preview, "sight_age_s": plan.sight_age_s, "made": utc::text(plan.unix_s),
         "moves": plan.steps.len(), "buffers": plan.buffers(), "lower_bound": plan.lower_bound,
-        "seconds": plan.seconds, "actions": plan.steps, "table": plan.table,
+        "seconds": plan.seconds, "actions": plan.steps, "made": plan.made, "table": plan.table,
     })
 }
 

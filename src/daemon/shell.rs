@@ -433,7 +433,7 @@ impl Shell {
                 let stop = Arc::new(AtomicBool::new(false));
                 self.planning = Some(stop.clone());
                 let beat = self.beats.task("the planner", request.time_limit * PLANS_WITHIN + PLANS_BESIDE);
-                spawn_plan(number, *request, stop, self.messages_in.clone(), beat);
+                spawn_plan(number, *request, &self.clock, stop, self.messages_in.clone(), beat);
             }
             Effect::CancelPlan => self.cancel_plan(),
             Effect::Commit { number, record } => match &self.store {

@@ -331,19 +331,21 @@ fn write_diagnostic_images(pictures: Result<Vec<Vec<u8>>, String>, folder: &Path
 pub fn spawn_plan(
     number: u64,
     request: PlanRequest,
+    clock: &Clock,
     stop: Arc<AtomicBool>,
     messages: mpsc::Sender<Message>,
     beat: Beat,
 ) {
+    // Planning is work of this computer, so its budget is real time even when the cell's time is scaled; but
+    // what is searched for while the arm moves has to be there before it rests.
+    let meanwhile = !request.known_plan.is_empty();
+    let limit = if meanwhile { clock.wall(request.time_limit) } else { request.time_limit };
     std::thread::spawn(move || {
         beat.now();
         priority::lower();
-        // Planning is work of this computer, so its budget is real time even when the cell's time is scaled.
         let started = Instant::now();
         // A plan that the arm cannot carry out is followed by another one, with a budget of its own.
-        let over = |attempt: u32| {
-            stop.load(Ordering::Relaxed) || started.elapsed() >= request.time_limit * (attempt + 1)
-        };
+        let over = |attempt: u32| stop.load(Ordering::Relaxed) || started.elapsed() >= limit * (attempt + 1);
         let answer = answer(&request, None, &over, &|| started.elapsed().as_secs_f64());
         beat.rests();
         let _ = messages.blocking_send(Message::Event(Event::Planned(number, Box::new(answer))));

@@ -131,6 +131,7 @@ mod tests {
             seconds: None,
             table: Vec::new(),
             preview: false,
+            made: 0,
             sight_age_s: 0.0,
             unix_s: 1.0,
         };

@@ -293,13 +293,11 @@ mod tests {
             resolved: Some(vec![goal.clone()]),
             plan: Some(PlanRecord {
                 number: 1,
-                steps: Vec::new(),
                 lower_bound: Some(1.0),
                 seconds: Some(8.0),
                 table: vec![goal],
-                preview: false,
-                sight_age_s: 0.0,
                 unix_s: NOW + 9.0,
+                ..PlanRecord::default()
             }),
             claimed_unix_s: NOW,
             started_unix_s: Some(NOW + 1.0),

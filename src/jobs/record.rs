@@ -271,7 +271,7 @@ pub struct JobResult {
 }
 
 /// A plan as it was made.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PlanRecord {
     /// Which plan of its cell it is, from 1, going on after a restart: a person agrees to this one. 0: a
     /// draft, or of an earlier version.
@@ -279,6 +279,9 @@ pub struct PlanRecord {
     pub number: u64,
     /// All of it, in order.
     pub steps: Vec<PlanStep>,
+    /// Pick-n-places that the job had made before the first of them.
+    #[serde(default)]
+    pub made: usize,
     /// In the job's objective.
     pub lower_bound: Option<f64>,
     /// What it will take, s.
@@ -294,6 +297,11 @@ pub struct PlanRecord {
 }
 
 impl PlanRecord {
+    /// Of its steps those that are carried out, where the job has made so many pick-n-places.
+    pub fn carried_out(&self, made: usize) -> usize {
+        made.saturating_sub(self.made).min(self.steps.len())
+    }
+
     /// Pick-n-places to a place that is no goal.
     pub fn buffers(&self) -> usize {
         self.steps.iter().filter(|step| step.kind == StepKind::Buffer).count()
@@ -518,9 +526,14 @@ mod tests {
             seconds: Some(15.6),
             table: Vec::new(),
             preview: true,
+            made: 0,
             sight_age_s: 40.4,
             unix_s: 0.0,
         };
+        // Made before a job's first, or third, pick-n-place.
+        assert_eq!([0, 1, 9].map(|made| plan.carried_out(made)), [0, 1, 2]);
+        let later = PlanRecord { made: 2, ..plan.clone() };
+        assert_eq!([0, 2, 3].map(|made| later.carried_out(made)), [0, 0, 1]);
         assert_eq!(
             plan.summary(),
             "2 pick-n-places, 1 of them to a temporary place, lower bound 2, about 16 s; a preview, the table \

@@ -282,6 +282,7 @@ mod tests {
             seconds: has(2).then_some(8.0),
             table: Vec::new(),
             preview: has(3),
+            made: 0,
             sight_age_s: 12.0,
             unix_s: 3.0,
         });

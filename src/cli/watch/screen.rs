@@ -89,8 +89,8 @@ impl Screen {
         }
         let Some(plan) = &status.plan else { return };
         let mut lines = vec![Line::from(plan.summary())];
-        let skipped = usize::try_from(done).unwrap_or(0);
-        lines.extend(plan.moves().into_iter().skip(skipped.min(plan.steps.len())).map(Line::from));
+        let over = plan.carried_out(usize::try_from(done).unwrap_or(0));
+        lines.extend(plan.moves().into_iter().skip(over).map(Line::from));
         frame.render_widget(Paragraph::new(lines), moves);
     }
 

@@ -203,6 +203,7 @@ fn what_is_found_planned_and_approved_is_there_after_a_restart() {
         seconds: Some(8.5),
         table: pose(0.1),
         preview: true,
+        made: 0,
         sight_age_s: 40.0,
         unix_s: NOW,
     };

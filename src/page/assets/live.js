@@ -38,7 +38,7 @@ function now() {
   if (!status) return h("p", { class: "say" }, t("celld is starting"));
   const [made, all] = status.step ?? [0, 0];
   const plan = status.plan;
-  const left = plan?.seconds && all ? plan.seconds * Math.max(0, all - made) / all : null;
+  const left = plan?.seconds && all ? plan.seconds * (1 - carriedOut(status) / Math.max(1, plan.steps.length)) : null;
   return [
     h("p", { class: "badges" },
       // What is under way is finished: until then the arm moves in a cell that is disarmed or paused.
@@ -126,7 +126,7 @@ export function tableCard() {
     if (!seen && plan && !count) for (const { id, pose } of plan.table) if (!known.has(id)) known.set(id, { id, pose });
     const hanging = [...known.values()].find(({ held }) => held);
     const lying = [...known.values()].filter((one) => one !== hanging);
-    const made = moving ? (status.step?.[0] ?? 0) : count;
+    const made = moving ? carriedOut(status) : count;
     const steps = plan?.steps ?? [];
     const goals = new Map(steps.filter(({ kind }) => kind === "goal").map(({ object: id, to }) => [id, to]));
     const buffers = steps.filter(({ kind }) => kind !== "goal");
@@ -155,10 +155,15 @@ export function tableCard() {
   return { element, stop: () => stops.forEach((stop) => stop()) };
 }
 
+/** Of the present plan's moves those that are over: a plan may have been made in the middle of its job. */
+function carriedOut({ plan, step }) {
+  return Math.min(plan.steps.length, Math.max(0, (step?.[0] ?? 0) - plan.made));
+}
+
 function moves() {
-  const { plan, step, job } = state.status ?? {};
+  const { plan, job } = state.status ?? {};
   if (!plan) return h("p", { class: "soft" }, t("No plan at the moment."));
-  const made = job && step ? step[0] : 0;
+  const made = job ? carriedOut(state.status) : 0;
   return [
     h("p", {}, `${t("moves")}: ${plan.steps.length}, `, t("{count} to a temporary place", { count: plan.steps.filter(({ kind }) => kind !== "goal").length }),
       plan.lower_bound !== null ? `; ${t("at least {bound} are needed", { bound: number(plan.lower_bound, plan.lower_bound % 1 ? 2 : 0) })}` : "",

@@ -18,6 +18,10 @@ use rearrange::planning::plan::{Action as PlanAction, ActionKind};
 /// Costs that differ by less (share) are equal but for the rounding of sums.
 const ROUNDING: f64 = 1e-9;
 
+/// The search takes this share of a pick-n-place: after it the order and the paths of what was found are
+/// tried, and from the release on the answer is of no use.
+const SEARCHED: f64 = 0.5;
+
 /// No plan is cheaper than this one.
 pub(crate) fn is_best(cost: f64, lower_bound: f64) -> bool {
     cost <= lower_bound + ROUNDING * lower_bound.abs().max(1.0)
@@ -48,8 +52,8 @@ impl Supervisor {
         // Another seed for every pick-n-place.
         let attempt = job.replans.saturating_add(job.moves as u32);
         let request = self.plan_request(&job.order, attempt, &job.order.goals, &expected);
-        let lasts_s = self.cycle_times().seconds([(under_way.from, under_way.to)]);
-        let time_limit = request.time_limit.min(Duration::from_secs_f64(lasts_s));
+        let lasts_s = self.seconds_of(std::slice::from_ref(under_way));
+        let time_limit = request.time_limit.min(Duration::from_secs_f64(SEARCHED * lasts_s));
         let request = PlanRequest { known_plan, time_limit, ..request };
         Some((Improving { step: job.moves, expected }, request))
     }
@@ -65,37 +69,50 @@ impl Supervisor {
         route.iter().map(action).collect()
     }
 
-    /// The planner's word on the rest of the plan. What comes too late, or is none, changes nothing.
+    /// The planner's word on the rest of the plan. What comes too late, or is none, changes nothing, and
+    /// nothing changes where the job does not go on by itself.
     pub(crate) fn on_improved(
         &mut self,
         now: Timestamp,
-        improving: &Improving,
+        improving: Improving,
         answer: &PlanAnswer,
         out: &mut Vec<Action>,
     ) {
-        let under_way = matches!(&self.phase, Phase::Work(work) if !work.over);
+        let under_way = matches!(&self.phase, Phase::Work(work) if !work.over) && self.mode.runs();
         let PlanAnswer::Found { actions, cost, lower_bound, .. } = answer else { return };
         let Some(rest) = self.route_of(actions, &improving.expected) else { return };
-        let note = self.plan_note(&rest, *lower_bound, &improving.expected, None);
-        let Some(job) = self.job.as_mut().filter(|job| under_way && job.moves == improving.step) else {
+        let Some(job) = &mut self.job else { return };
+        if !under_way || job.cancel || job.moves != improving.step {
             return;
-        };
+        }
         job.improvable = !is_best(*cost, *lower_bound);
-        let Some(route) = job.route.as_mut().filter(|route| route.get(1..).is_some_and(|old| *old != *rest))
-        else {
+        let Some([first, old @ ..]) = job.route.as_deref() else { return };
+        if old == rest {
             return;
-        };
-        let before: Vec<RouteAction> = route.splice(1.., rest).collect();
-        let before_s = self.cycle_times().seconds(before.iter().map(|action| (action.from, action.to)));
-        say(
-            out,
-            format!(
-                "a better rest of the plan: {} pick-n-places in about {:.1} s, in place of {} in {before_s:.1} s",
-                note.actions.len(),
-                note.seconds,
-                before.len(),
-            ),
+        }
+        let (first, old) = (first.clone(), old.to_vec());
+        let text = format!(
+            "a better rest of the plan: {} pick-n-places in about {:.1} s, in place of {} in {:.1} s",
+            rest.len(),
+            self.seconds_of(&rest),
+            old.len(),
+            self.seconds_of(&old),
         );
+        say(out, text);
+        // For people the plan begins with what is under way, on the table before that.
+        let mut table = improving.expected;
+        if let Some(object) = table.objects.iter_mut().find(|object| object.id == first.object) {
+            object.pose = first.from;
+        }
+        let route: Vec<RouteAction> = std::iter::once(first).chain(rest).collect();
+        let note = self.plan_note(&route, *lower_bound, &table, None);
+        if let Some(job) = &mut self.job {
+            job.route = Some(route);
+        }
         self.commit_plan(now, note, out);
+    }
+
+    fn seconds_of(&self, route: &[RouteAction]) -> f64 {
+        self.cycle_times().seconds(route.iter().map(|action| (action.from, action.to)))
     }
 }

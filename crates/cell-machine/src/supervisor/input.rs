@@ -157,6 +157,8 @@ pub struct PlanNote {
     pub number: u64,
     /// All of it, in order.
     pub actions: Vec<RouteAction>,
+    /// Pick-n-places that the job had made before the first of them.
+    pub made: usize,
     /// In the job's objective.
     pub lower_bound: f64,
     /// What it will take, s, looks between its moves included.

@@ -122,6 +122,7 @@ impl Supervisor {
         PlanNote {
             number: 0,
             actions: route.to_vec(),
+            made: self.job.as_ref().map_or(0, |job| job.moves),
             lower_bound,
             seconds: self.cycle_times().seconds(moves),
             table,

@@ -205,7 +205,7 @@ impl Supervisor {
     pub(crate) fn on_planned(&mut self, now: Timestamp, answer: PlanAnswer, out: &mut Vec<Action>) {
         if !matches!(self.phase, Phase::Plan) {
             return match self.job.as_mut().and_then(|job| job.improving.take()) {
-                Some(improving) => self.on_improved(now, &improving, &answer, out),
+                Some(improving) => self.on_improved(now, improving, &answer, out),
                 None => self.on_preview(now, &answer, out),
             };
         }

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::device::gripper_types::GripperEvent;
+use crate::device::robot_types::ProgramEnd;
 use crate::supervisor::input::PlanRequest;
 use crate::supervisor::order::RouteAction;
 
@@ -45,7 +46,8 @@ fn begun(approval: Approval, cost: f64) -> (Bench, Vec<Action>) {
     bench.cell = Supervisor::new(CellModel { objects, ..model() }, 7);
     bench.job_with(approval);
     let goals = ["a", "b", "c"].map(str::to_string).into_iter().zip(GOALS).collect();
-    bench.cell.job.as_mut().expect("a job").order.goals = goals;
+    let order_of_three = &mut bench.cell.job.as_mut().expect("a job").order;
+    (order_of_three.goals, order_of_three.time_limit) = (goals, Duration::from_secs(60));
     bench.feed(order(Order::Arm));
     bench.ticks(20);
     for step in [Input::Robot(RobotEvent::PathFinished { batch: 1 }), Input::Tick] {
@@ -77,14 +79,21 @@ fn what_comes_after_the_pick_n_place_under_way_is_planned_again_and_improved() {
         let again = request(&all).expect("the rest is planned");
         assert_eq!(again.known_plan, [action(1), action(2)]);
         assert_eq!(again.instance.objects[0].start, Some(GOALS[0]), "as it will be");
-        assert!(again.time_limit <= Duration::from_secs(1));
+        let lasts_s = again.times.seconds([(AT[0], GOALS[0])]);
+        let searched_s = again.time_limit.as_secs_f64();
+        assert!((searched_s - 0.5 * lasts_s).abs() < 1e-6, "{searched_s} of {lasts_s} s");
         let better = bench.feed(found(&[2, 1], 3.0));
         assert_eq!(streams(&better), 0, "the arm is on its way");
         assert_eq!(route(&bench), ["a", "c", "b"]);
-        let noted = better.iter().any(|action| {
-            matches!(action, Action::Commit { record: Record::Planned(note), .. } if note.actions.len() == 2)
+        let note = better.iter().find_map(|action| match action {
+            Action::Commit { record: Record::Planned(note), .. } => Some(note),
+            _ => None,
         });
-        assert!(noted, "{better:?}");
+        let note = note.expect("written down");
+        // It begins with what is under way, on the table before that.
+        let noted: Vec<&str> = note.actions.iter().map(|action| action.object.as_str()).collect();
+        assert_eq!((noted, note.made), (vec!["a", "c", "b"], 0));
+        assert_eq!(note.table[0], ("a".to_string(), AT[0]));
         assert!(!bench.cell.job.as_ref().expect("a job").improvable, "it is the best now");
         bench.feed(found(&[1, 2], 3.0));
         assert_eq!(route(&bench), ["a", "c", "b"], "an answer counts once");
@@ -129,10 +138,26 @@ fn what_comes_after_the_object_was_put_down_changes_nothing() {
     assert_eq!(route(&bench), ["b", "c"]);
 }
 
+/// What is under way is finished, and nothing follows: there is nothing to be better.
+#[test]
+fn a_job_that_does_not_go_on_gets_no_other_plan() {
+    for stays in [order(Order::Cancel("j".into())), order(Order::Pause), order(Order::Disarm)] {
+        let (mut bench, _) = begun(Approval::Never, 4.0);
+        bench.feed(stays.clone());
+        let late = bench.feed(found(&[2, 1], 3.0));
+        assert_eq!(route(&bench), ["a", "b", "c"], "{stays:?}");
+        assert!(!late.iter().any(|action| matches!(action, Action::Say(_))), "{stays:?}: {late:?}");
+    }
+}
+
+/// The job outlives the stop, and so does its route.
 #[test]
 fn what_comes_after_a_stop_changes_nothing() {
     let (mut bench, _) = begun(Approval::Never, 4.0);
-    bench.feed(order(Order::Abort));
+    bench.cell.model.tolerances.stop_retries = 1;
+    bench.feed(Input::Robot(RobotEvent::ProgramEnded { reason: ProgramEnd::HeartbeatLost }));
+    assert_eq!(bench.cell.status().job.as_deref(), Some("j"));
+    let before = bench.cell.route();
     let late = bench.feed(found(&[2, 1], 3.0));
-    assert!(streams(&late) == 0 && route(&bench).is_empty(), "{late:?}");
+    assert_eq!((bench.cell.route(), streams(&late)), (before, 0), "{late:?}");
 }
