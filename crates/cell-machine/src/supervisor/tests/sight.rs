@@ -210,6 +210,27 @@ fn what_a_part_need_not_show_is_remembered_and_what_it_should_show_and_does_not_
     assert!(again.iter().any(|action| matches!(action, Action::Observe { .. })));
 }
 
+/// Whoever shows it has to know which of its moves are over: none, though the job has made one.
+#[test]
+fn a_plan_that_is_made_in_the_middle_of_its_job_says_after_how_many_moves() {
+    let mut bench = carried_out();
+    until_looking(&mut bench);
+    reach_and_picture(&mut bench);
+    let pushed = Pose2::new(AT_B.x + 0.02, AT_B.y, 0.0);
+    let all = [("a", GOAL_A), ("b", pushed), ("c", AT_C)];
+    bench.feed(Input::Observed(Ok(Box::new(seen(&bench, &all)))));
+    reach_and_picture(&mut bench);
+    bench.feed(Input::Observed(Ok(Box::new(seen(&bench, &all)))));
+    let actions = vec![PlanAction { object: 1, from: pushed, to: GOAL_B, kind: ActionKind::Goal }];
+    let answer = PlanAnswer::Found { actions, cost: 1.0, lower_bound: 1.0, seconds: 0.01 };
+    let planned = bench.feed(Input::Planned(Box::new(answer)));
+    let note = planned.iter().find_map(|action| match action {
+        Action::Commit { record: Record::Planned(note), .. } => Some((note.actions.len(), note.made)),
+        _ => None,
+    });
+    assert_eq!(note, Some((1, 1)), "{planned:?}");
+}
+
 /// How long ago `c` was seen, s.
 fn age_of_c(bench: &Bench) -> f64 {
     let c = bench.cell.observation().and_then(|seen| seen.object("c")).expect("remembered");
