@@ -8,6 +8,7 @@
 use crate::detect::detection::{DetectError, Detection};
 use crate::detect::family::Family;
 use cell_values::image::{GrayImage, MAX_EDGE};
+use std::ffi::c_int;
 use std::ptr::NonNull;
 
 /// How a picture is searched.
@@ -44,6 +45,30 @@ pub(super) struct Library {
 #[allow(unsafe_code)]
 unsafe impl Send for Library {}
 
+#[allow(unsafe_code)]
+unsafe extern "C" {
+    fn workerpool_create(threads: c_int) -> *mut apriltag_sys::workerpool_t;
+    fn workerpool_run(pool: *mut apriltag_sys::workerpool_t);
+}
+
+/// The library's pool of threads, all of which wait for work. It makes its own with the first picture and
+/// hands tasks over without a lock: a thread that starts late reads them while they are moved, and the
+/// process dies (with a small first picture, one time in eighty). A run without tasks ends once every thread
+/// waits; a second one follows, because the first may count one twice that was starting just then.
+#[allow(unsafe_code)]
+fn resting_pool(threads: c_int) -> *mut apriltag_sys::workerpool_t {
+    // SAFETY: the functions are the library's own, linked with it; the pool is a live one from the first of
+    // them, and runs on this thread alone.
+    unsafe {
+        let pool = workerpool_create(threads);
+        if !pool.is_null() {
+            workerpool_run(pool);
+            workerpool_run(pool);
+        }
+        pool
+    }
+}
+
 impl Library {
     /// A detector of these families that repairs so many bits.
     ///
@@ -65,6 +90,11 @@ impl Library {
         let mut detector = unsafe { apriltag::Detector::from_raw(raw.as_ptr()) };
         detector.set_thread_number(threads);
         detector.set_refine_edges(true);
+        if threads > 1 {
+            // SAFETY: the detector is new and this thread's alone; it owns the pool from here on, finds it
+            // as large as it wants it, and ends it with itself.
+            unsafe { (*raw.as_ptr()).wp = resting_pool(c_int::from(threads)) };
+        }
         Ok(Library { families, detector, raw })
     }
 
