@@ -85,7 +85,7 @@ fn plan_json(id: &str, plan: &PlanRecord) -> serde_json::Value {
     json!({
         "job": id, "number": plan.number, "preview": plan.preview, "sight_age_s": plan.sight_age_s, "made": utc::text(plan.unix_s),
         "moves": plan.steps.len(), "buffers": plan.buffers(), "lower_bound": plan.lower_bound,
-        "seconds": plan.seconds, "actions": plan.steps, "made": plan.made, "table": plan.table,
+        "seconds": plan.seconds, "actions": plan.steps, "after_moves": plan.made, "table": plan.table,
     })
 }
 
@@ -124,4 +124,19 @@ fn drawn_plan(
     let workspace = Workspace { width: cell.workspace.width_m, height: cell.workspace.height_m };
     let keep_out = &cell.workspace.keep_out;
     draw(&DrawnPlan { objects: &cell.objects, workspace, keep_out, table: &table, moves: &moves, title })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_file_says_when_a_plan_was_made_and_after_how_many_moves() {
+        let plan = PlanRecord { number: 3, made: 2, unix_s: 1.7e9, ..PlanRecord::default() };
+        let json = plan_json("tidy", &plan);
+        assert_eq!(
+            (json["made"].as_str(), json["after_moves"].as_u64()),
+            (Some("2023-11-14T22:13:20Z"), Some(2))
+        );
+    }
 }

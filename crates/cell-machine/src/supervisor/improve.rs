@@ -14,18 +14,11 @@ use crate::supervisor::reason::say;
 use cell_values::time::{Duration, Timestamp};
 use cell_vision::observe::Observation;
 use rearrange::planning::plan::{Action as PlanAction, ActionKind};
-
-/// Costs that differ by less (share) are equal but for the rounding of sums.
-const ROUNDING: f64 = 1e-9;
+use rearrange::planning::solver::reaches;
 
 /// The search takes this share of a pick-n-place: after it the order and the paths of what was found are
 /// tried, and from the release on the answer is of no use.
 const SEARCHED: f64 = 0.5;
-
-/// No plan is cheaper than this one.
-pub(crate) fn is_best(cost: f64, lower_bound: f64) -> bool {
-    cost <= lower_bound + ROUNDING * lower_bound.abs().max(1.0)
-}
 
 impl Supervisor {
     /// The arm sets out for a pick-n-place: meanwhile what comes after it is planned again.
@@ -85,7 +78,7 @@ impl Supervisor {
         if !under_way || job.cancel || job.moves != improving.step {
             return;
         }
-        job.improvable = !is_best(*cost, *lower_bound);
+        job.improvable = !reaches(*cost, *lower_bound);
         let Some([first, old @ ..]) = job.route.as_deref() else { return };
         if old == rest {
             return;

@@ -7,7 +7,6 @@
 use crate::code::{Code, JobStatus};
 use crate::orders::Approval;
 use crate::supervisor::cell::Supervisor;
-use crate::supervisor::improve::is_best;
 use crate::supervisor::input::{Action, DeviceSnapshot, PlanAnswer, PlanRequest};
 use crate::supervisor::model::CellObject;
 use crate::supervisor::order::{JobOrder, RouteAction};
@@ -21,6 +20,7 @@ use rearrange::geometry::pose::Pose2;
 use rearrange::planning::check::CheckedPlan;
 use rearrange::planning::plan::{Action as PlanAction, ActionKind};
 use rearrange::planning::problem::Problem;
+use rearrange::planning::solver::reaches;
 use rearrange::tabletop::instance::{Instance, ObjectSpec};
 
 /// Part of the planner's clearance that a running plan must still keep after placing errors.
@@ -234,7 +234,7 @@ impl Supervisor {
             job.planning_seconds = seconds;
         }
         job.replans += 1;
-        job.improvable = !is_best(cost, lower_bound);
+        job.improvable = !reaches(cost, lower_bound);
         job.approved = match job.order.approval {
             Approval::Never => true,
             Approval::Job => job.approved || !job.order.agreed.is_empty(),

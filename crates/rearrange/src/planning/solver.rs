@@ -12,10 +12,9 @@ use crate::planning::object_set::ObjectSet;
 use crate::planning::plan::{Objective, Status};
 use crate::planning::problem::{Problem, ProblemObject, Witness};
 use crate::planning::scene::Scene;
-use crate::planning::solver::control::reaches;
 use crate::planning::solver::incumbent::Incumbent;
 
-pub use crate::planning::solver::control::{Control, PlanSeconds, SolverKind, cost};
+pub use crate::planning::solver::control::{Control, PlanSeconds, SolverKind, cost, reaches};
 
 mod control;
 mod fallback;

@@ -126,7 +126,7 @@ pub fn cost(problem: &Problem, objective: Objective, control: &Control, actions:
     }
 }
 
-/// Equal but for the rounding of sums.
-pub(super) fn reaches(cost: f64, bound: f64) -> bool {
+/// No plan is cheaper: the cost is the lower bound, but for the rounding of sums.
+pub fn reaches(cost: f64, bound: f64) -> bool {
     cost <= bound + 1e-9 * bound.abs().max(1.0)
 }
