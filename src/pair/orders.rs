@@ -12,6 +12,7 @@ use crate::pair::work::job;
 use crate::pair::{Choice, Pair};
 use cell_machine::device::gripper_types::Channels;
 use cell_machine::orders::{Approval, Order, Reply, WayBack};
+use cell_machine::supervisor::cell::Supervisor;
 use cell_machine::supervisor::round::RoundOrder;
 use cell_machine::supervisor::status::Doing;
 use cell_values::units::Joints;
@@ -76,6 +77,7 @@ pub static STATES: &[State] = &[
         name: "waiting for approval, disarmed",
         reach: |pair, stage| requests(pair, stage) && disarmed(pair),
     },
+    State { name: "set out for the next object, the picture being searched", reach: sets_out },
     State { name: "approaching", reach: |pair, stage| works(pair, stage, "approaching") },
     State { name: "carrying", reach: |pair, stage| works(pair, stage, "carrying") },
     State { name: "retreating", reach: |pair, stage| works(pair, stage, "retreating") },
@@ -324,6 +326,17 @@ fn submitted(pair: &mut Pair, stage: &Stage) -> bool {
     let ready = armed(pair) && disarmed(pair);
     submit(pair, stage, Approval::Never);
     ready
+}
+
+/// A job under way, the arm on its way to an object before a look has shown it.
+fn sets_out(pair: &mut Pair, stage: &Stage) -> bool {
+    armed(pair);
+    submit(pair, stage, Approval::Never);
+    pair.run_until(120.0, |pair| {
+        // celld knows of the motion too.
+        let moves = pair.machine().robot_state().is_some_and(|robot| !robot.stands_still());
+        moves && pair.machine().supervisor().is_some_and(Supervisor::has_set_out)
+    })
 }
 
 /// A job under way, as far as these words of the status.

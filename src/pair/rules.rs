@@ -41,7 +41,8 @@ pub enum Rule {
     VacuumOffAway,
     /// Something is held and the vacuum is not read.
     HeldUnwatched,
-    /// The vacuum is switched on for a pick on a sight older than the last pick, place, stop or release.
+    /// An empty tool goes down for a pick, or the vacuum is switched on for it, on a sight older than the
+    /// last pick, place, stop or release.
     PickOnOldSight,
     /// An object is gripped that is not where it was picked for, although a hand had moved it before a
     /// picture that shows where it is, or where it was.
@@ -148,6 +149,8 @@ pub struct Rules {
     picking: bool,
     /// One is written down, and neither over nor given up.
     meant: bool,
+    /// Its object was gripped.
+    gripped: bool,
     /// The status says that one is under way.
     works: bool,
     last_state: u64,
@@ -182,6 +185,8 @@ pub struct Rules {
     moved_by_hand: BTreeMap<String, u64>,
     /// An object is being gripped.
     gripping: bool,
+    /// Height from which the tool goes down, or up to which it has gone, m over the table.
+    height: f64,
     /// Another client's program may move the arm.
     stranger: bool,
     /// Since when a gate that a person cannot see past is closed, and which.
@@ -320,8 +325,9 @@ impl Rules {
         match effect {
             Effect::Commit { number, record } => {
                 self.open.insert(*number, matches!(record, Record::Intent { .. }));
+                self.gripped |= matches!(record, Record::Gripped { .. });
                 match record {
-                    Record::Intent { .. } => self.meant = true,
+                    Record::Intent { .. } => (self.meant, self.gripped) = (true, false),
                     Record::Withdrawn { .. } => (self.picking, self.meant) = (false, false),
                     Record::Gripped { .. } | Record::Released { .. } | Record::LetGo { .. } => {
                         self.disturbed = frame

@@ -347,6 +347,14 @@ fn the_sound_cell_breaks_no_rule_in_the_drill() {
     assert_eq!(reports, JOBS, "every job has an end");
 }
 
+/// Before anything is gripped.
+#[test]
+fn an_old_sight_is_found_as_the_tool_goes_down() {
+    let (breaches, _) = drill(Fault::SightOld).unwrap();
+    let first = breaches.iter().find(|breach| breach.rule == Rule::PickOnOldSight);
+    assert!(first.is_some_and(|breach| breach.detail.ends_with("on the way down")), "{first:?}");
+}
+
 #[test]
 fn every_mutant_is_found() {
     let mut missed = Vec::new();

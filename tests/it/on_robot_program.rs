@@ -116,6 +116,34 @@ fn streamed_segments_blend_without_stopping() {
     assert_eq!(driver.controller.core.mover.q(), Joints([2.0, -1.57, 1.57, -1.57, -1.57, 0.0]));
 }
 
+/// A way to a waiting place at 0.7 rad by a corner at 0.5: what comes next is there in time or not.
+#[test]
+fn a_way_goes_on_without_stopping_where_what_it_waits_for_is_there() {
+    let way_out = |driver: &mut Driver| {
+        driver.movej(0.5, false);
+        driver.command(MOVEJ, 3, [0.7, -1.57, 1.57, -1.57, -1.57, 0.0], 1.0, 3.0, 0.0);
+        driver.until(|d| d.controller.core.mover.q().0[0] > 0.2);
+    };
+    let turned = |driver: &Driver| driver.controller.core.mover.q().0[0];
+    let mut driver = Driver::start();
+    way_out(&mut driver);
+    driver.command(MOVEJ, 1, [0.5, -1.3, 1.57, -1.57, -1.57, 0.0], 1.0, 3.0, 0.0);
+    let (mut slowest, mut farthest) = (f64::INFINITY, 0.0_f64);
+    while driver.output(26) < 3 {
+        driver.frame();
+        farthest = farthest.max(turned(&driver));
+        if driver.controller.core.mover.q().0[1] < -1.4 {
+            let speeds = driver.controller.core.mover.qd().map(f64::abs);
+            slowest = slowest.min(speeds.into_iter().fold(0.0, f64::max));
+        }
+    }
+    assert!(farthest < 0.5 + 1e-6 && slowest > 0.1, "{farthest} rad, {slowest} rad/s at least");
+    let mut driver = Driver::start();
+    way_out(&mut driver);
+    driver.until(|d| d.output(26) == 2 && d.status() == 0);
+    assert!((turned(&driver) - 0.7).abs() < 1e-9, "at the waiting place: {}", turned(&driver));
+}
+
 #[test]
 fn a_full_queue_waits_and_every_segment_is_carried_out() {
     let mut driver = Driver::start();

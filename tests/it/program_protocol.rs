@@ -164,17 +164,15 @@ impl Rig {
     }
 
     fn write_move(&mut self, sequence: i32, target: f64, blend: f64, last: bool) {
-        let arguments = [target, 0.0, 0.0, 0.0, 0.0, 0.0];
-        let opcode = Opcode::MoveJoint;
-        self.write(CommandRegisters {
-            sequence,
-            opcode,
-            last,
-            arguments,
-            speed: 1.0,
-            acceleration: 2.0,
-            blend,
-        });
+        self.write(CommandRegisters { last, ..a_move(sequence, target, blend) });
+    }
+
+    /// A way to a waiting place at 0.2, by a corner at 0.1 that is cut, after so many commands: two more.
+    fn write_way_out(&mut self, after: i32) {
+        self.write_move(after + 1, 0.1, 0.02, false);
+        self.run(1);
+        self.write(CommandRegisters { last: true, waits: true, ..a_move(after + 2, 0.2, 0.0) });
+        self.run(3);
     }
 
     /// nonce, accepted, finished, status.
@@ -185,6 +183,12 @@ impl Rig {
     fn log(&self) -> Vec<&str> {
         self.arm.log.iter().map(|(_, text)| text.as_str()).collect()
     }
+}
+
+fn a_move(sequence: i32, target: f64, blend: f64) -> CommandRegisters {
+    let arguments = [target, 0.0, 0.0, 0.0, 0.0, 0.0];
+    let bare = CommandRegisters::bare(sequence, Opcode::MoveJoint);
+    CommandRegisters { arguments, speed: 1.0, acceleration: 2.0, blend, ..bare }
 }
 
 #[test]
@@ -227,6 +231,58 @@ fn a_blended_segment_waits_for_its_successor() {
     rig.write_move(2, 0.2, 0.0, true);
     rig.run(3);
     assert_eq!(rig.arm.log.len(), 1);
+}
+
+/// Wherever in the ring of the queue it comes.
+#[test]
+fn a_waiting_place_is_left_out_where_what_comes_next_is_there_in_time() {
+    for before in 0..9 {
+        let mut rig = Rig::new();
+        for sequence in 1..=before {
+            rig.write_move(sequence, 0.0, 0.0, true);
+            rig.run(2 * MOVE_FRAMES);
+        }
+        rig.arm.log.clear();
+        rig.write_way_out(before);
+        rig.write_move(before + 3, 0.3, 0.0, true);
+        rig.run(3 * MOVE_FRAMES);
+        assert_eq!(rig.log(), ["movej 0.1 a=2 v=1 r=0.02", "movej 0.3 a=2 v=1 r=0"], "after {before}");
+        let starts: Vec<u64> = rig.arm.log.iter().map(|(frame, _)| *frame).collect();
+        assert_eq!(starts[1] - starts[0], MOVE_FRAMES - 1, "no frame passes, so that they blend");
+        assert_eq!(rig.out(), [NONCE, before + 3, before + 3, 0]);
+    }
+}
+
+#[test]
+fn a_stop_after_a_waiting_place_was_left_out_ends_the_program() {
+    let mut rig = Rig::new();
+    rig.write_way_out(0);
+    rig.write_move(3, 0.3, 0.0, true);
+    rig.run(MOVE_FRAMES);
+    rig.write(CommandRegisters::bare(4, Opcode::Stop));
+    rig.run(STOP_FRAMES + 3);
+    assert_eq!(rig.out()[1..], [4, 2, 4]);
+    assert_eq!(rig.progress, Progress::Finished);
+}
+
+#[test]
+fn at_a_waiting_place_the_arm_waits_for_what_comes_next() {
+    let mut rig = Rig::new();
+    rig.write_way_out(0);
+    rig.run(3 * MOVE_FRAMES);
+    assert_eq!(rig.log(), ["movej 0.1 a=2 v=1 r=0.02", "movej 0.2 a=2 v=1 r=0"]);
+    assert_eq!(rig.out(), [NONCE, 2, 2, 0]);
+    rig.write_move(3, 0.3, 0.0, true);
+    rig.run(2 * MOVE_FRAMES);
+    assert_eq!(rig.log()[2..], ["movej 0.3 a=2 v=1 r=0"]);
+    // One that has set out for the waiting place gets there first.
+    let mut rig = Rig::new();
+    rig.write_way_out(0);
+    rig.run(MOVE_FRAMES);
+    rig.write_move(3, 0.3, 0.0, true);
+    rig.run(3 * MOVE_FRAMES);
+    assert_eq!(rig.log().len(), 3, "{:?}", rig.log());
+    assert_eq!(rig.out(), [NONCE, 3, 3, 0]);
 }
 
 #[test]
@@ -331,6 +387,7 @@ fn commands_that_cannot_be_are_refused_and_stop_the_arm() {
         sequence: 1,
         opcode: Opcode::MoveLinear,
         last: true,
+        waits: false,
         arguments: [0.1; 6],
         speed: 0.2,
         acceleration: 1.0,

@@ -302,11 +302,21 @@ impl Machine {
     /// Inputs one after the other; what comes of one is looked at before the next.
     fn work_off(&mut self, now: Timestamp) {
         while let Some(input) = self.inputs.pop_front() {
+            if self.has_gone_on(&input) {
+                continue;
+            }
             self.step(now, input);
             let later = std::mem::take(&mut self.inputs);
             self.take_session_events();
             self.inputs.extend(later);
         }
+    }
+
+    /// The end of a path that another one was sent after: the arm does not rest there, or not for long, and
+    /// it is not the end that is waited for.
+    fn has_gone_on(&self, input: &Input) -> bool {
+        let Input::Robot(RobotEvent::PathFinished { batch }) = input else { return false };
+        *batch != self.robot.last_batch()
     }
 
     /// One input through the supervisor; its actions are carried out in order.
@@ -486,3 +496,6 @@ impl Machine {
         self.effects.push_back(Effect::Notify(News::Identified(Box::new(arm))));
     }
 }
+
+#[cfg(test)]
+mod tests;

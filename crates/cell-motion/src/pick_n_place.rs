@@ -6,9 +6,13 @@
 //! yaws is tried, cheapest joint travel first, and the first that passes the path check is taken. Where the
 //! straight joint moves of none are free, a way round is searched for the cheapest of them.
 
+pub(crate) mod pieces;
+
 use crate::bodies::{Load, Room, Standing, Tabletop};
+pub use crate::cycle::CycleParameters;
 use crate::path::{ArmModel, CheckedPath, Leg, PathFault, Segment, out_of_reach};
-use crate::way::{Search, find};
+use crate::pick_n_place::pieces::{corner, joint, linear, metres, round, widest};
+use crate::way::Search;
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rearrange::geometry::footprint::Footprint;
@@ -62,29 +66,6 @@ impl PickNPlace {
     }
 }
 
-/// Heights and speeds of a cycle, from the configuration.
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
-pub struct CycleParameters {
-    /// Height of the tallest object on the table, m.
-    pub tallest: f64,
-    /// Air kept between what is carried and what is on the table, m.
-    pub air: f64,
-    /// How far over the object the slow, straight part of approach and retreat begins, m.
-    pub approach: f64,
-    /// How far the cups are pressed below the nominal top so that they seal, m.
-    pub press: f64,
-    /// Blend radius between segments, m.
-    pub blend: f64,
-    /// Joint speed of transfers, rad/s.
-    pub joint_speed: f64,
-    /// Joint acceleration of transfers, rad/s2.
-    pub joint_acceleration: f64,
-    /// Tool speed of the straight parts, m/s.
-    pub tool_speed: f64,
-    /// Tool acceleration of the straight parts, m/s2.
-    pub tool_acceleration: f64,
-}
-
 /// The three paths of one pick-n-place.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct PickNPlacePaths {
@@ -96,39 +77,6 @@ pub struct PickNPlacePaths {
     pub give_up: CheckedPath,
     /// Straight up.
     pub retreat: CheckedPath,
-}
-
-/// Of the air over everything, so much is kept on the way over the table, and so much where a corner is cut
-/// (shares): there the tool is almost over its place, slower, and higher the farther it is away from it.
-const AIR_OVER: f64 = 0.5;
-const AIR_IN_CORNER: f64 = 1.0 / 6.0;
-
-/// There it is so much at least, if it is no more than elsewhere, m: heights are measured to a millimetre or
-/// two.
-const LEAST_IN_CORNER_M: f64 = 3e-3;
-
-/// A blend is so much of the way to the next corner at most, and none that is smaller is worth it, m.
-const WAY_SHARE: f64 = 0.9;
-const LEAST_BLEND_M: f64 = 2e-3;
-
-/// A corner's lowest place is so far over what it keeps out of, m: what a joint move sags between its ends.
-const SAG_M: f64 = 1e-3;
-
-impl CycleParameters {
-    /// Anything may lie on the table up to here, m, and some air over it for what hangs below the tool.
-    pub fn layer(&self) -> f64 {
-        self.tallest + AIR_OVER * self.air
-    }
-
-    /// The same where a corner is cut, m.
-    pub fn corner_layer(&self) -> f64 {
-        self.tallest + (AIR_IN_CORNER * self.air).max(LEAST_IN_CORNER_M).min(AIR_OVER * self.air)
-    }
-
-    /// A table with this on it, and anything else up to there.
-    pub fn tabletop(&self, standing: Vec<Standing>) -> Tabletop {
-        Tabletop { layer: self.layer(), corner_layer: self.corner_layer(), standing }
-    }
 }
 
 /// How many yaws a single cup may try.
@@ -162,13 +110,8 @@ pub fn plan(
     cycle: &CycleParameters,
     table: &Tabletop,
 ) -> Result<PickNPlacePaths, PathFault> {
-    let rooms = Rooms {
-        before: Room::new(&model.bodies, table, Some(&task.lying_at(task.from))),
-        meanwhile: Room::new(&model.bodies, table, None),
-        after: Room::new(&model.bodies, table, Some(&task.lying_at(task.to))),
-    };
-    let mut candidates = candidates(model, start, task, cycle);
-    candidates.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    let rooms = Rooms::new(model, task, table);
+    let candidates = candidates(model, start, task, cycle);
     let mut first_fault = None;
     for (count, search) in [(CANDIDATES, None), (SEARCHED, Some(SEARCH))] {
         for candidate in candidates.iter().take(count) {
@@ -188,6 +131,19 @@ pub fn plan(
     Err(first_fault.unwrap_or_else(|| unreachable_pose(model, start, task, cycle)))
 }
 
+/// The same where the straight joint moves are free, without a search for a way round.
+pub fn plan_straight(
+    model: &ArmModel,
+    start: &Joints,
+    task: &PickNPlace,
+    cycle: &CycleParameters,
+    table: &Tabletop,
+) -> Option<PickNPlacePaths> {
+    let rooms = Rooms::new(model, task, table);
+    let candidates = candidates(model, start, task, cycle);
+    candidates.iter().find_map(|one| assemble(model, start, one, task, cycle, (&rooms, None)).ok())
+}
+
 /// The tool pointing down at `(x, y, z)` of the table with `yaw` about the vertical.
 pub fn tool_down(x: f64, y: f64, z: f64, yaw: f64) -> Isometry3<f64> {
     let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
@@ -196,23 +152,33 @@ pub fn tool_down(x: f64, y: f64, z: f64, yaw: f64) -> Isometry3<f64> {
 }
 
 /// Joints at the corners of the move for one yaw and one branch.
-struct Candidate {
+pub(crate) struct Candidate {
     yaw: f64,
     /// Where the empty tool comes over the object.
     hover: Joints,
     /// Where it is lifted to.
     over_pick: Joints,
-    pick: Joints,
+    pub pick: Joints,
     over_place: Joints,
     place: Joints,
     cost: f64,
 }
 
 /// The table before the pick, while the object is carried, and after it was placed.
-struct Rooms {
-    before: Room,
+pub(crate) struct Rooms {
+    pub before: Room,
     meanwhile: Room,
     after: Room,
+}
+
+impl Rooms {
+    pub fn new(model: &ArmModel, task: &PickNPlace, table: &Tabletop) -> Rooms {
+        Rooms {
+            before: Room::new(&model.bodies, table, Some(&task.lying_at(task.from))),
+            meanwhile: Room::new(&model.bodies, table, None),
+            after: Room::new(&model.bodies, table, Some(&task.lying_at(task.to))),
+        }
+    }
 }
 
 /// Height of the tool while it travels with the object, or after it was put down, when it may still hang
@@ -225,24 +191,6 @@ pub(crate) fn travel_height(task: &PickNPlace, cycle: &CycleParameters) -> f64 {
 /// Height at which the empty tool comes over the object, the same way.
 fn hover_height(task: &PickNPlace, cycle: &CycleParameters) -> f64 {
     (cycle.tallest + cycle.air).max(task.height + cycle.approach)
-}
-
-/// Blend radii of a corner at a height, m, the larger first: with something `below` the tool (m), the way
-/// that cuts it stays over everything, and the corner fits into the `ways` on both sides of it (m).
-fn corner(height: f64, below: f64, cycle: &CycleParameters, ways: [f64; 2]) -> [f64; 2] {
-    let over_all = height - below - cycle.corner_layer() - SAG_M;
-    let largest = ways.into_iter().map(|way| WAY_SHARE * way).fold(cycle.blend.min(over_all), f64::min);
-    [1.0, 0.5].map(|share| if share * largest < LEAST_BLEND_M { 0.0 } else { share * largest })
-}
-
-/// The path with the wider corners of two, or else with the narrower.
-fn widest<T>([wide, narrow]: [f64; 2], path: impl Fn(f64) -> Result<T, PathFault>) -> Result<T, PathFault> {
-    path(wide).or_else(|fault| if narrow < wide { path(narrow) } else { Err(fault) })
-}
-
-/// Metres from tool to tool.
-fn metres(model: &ArmModel, from: &Joints, to: &Joints) -> f64 {
-    (model.tool_at(to).translation.vector - model.tool_at(from).translation.vector).norm()
 }
 
 fn yaws(task: &PickNPlace) -> Vec<f64> {
@@ -258,31 +206,45 @@ fn candidates(
     task: &PickNPlace,
     cycle: &CycleParameters,
 ) -> Vec<Candidate> {
-    let high = travel_height(task, cycle);
-    let low = task.height - cycle.press;
-    let pick = task.from.transform(task.grip_point);
-    let place = task.to.transform(task.grip_point);
-    let turn = wrap_angle(task.to.theta - task.from.theta);
+    let [x, y] = task.from.transform(task.grip_point);
     let mut out = Vec::new();
     for yaw in yaws(task) {
-        let at = |p: [f64; 2], z, yaw, near: &Joints| {
-            model.joints_in_work_posture(&tool_down(p[0], p[1], z, yaw), near)
-        };
         // The other way round for joint 6 may save a turn of the object's, or keep it in range.
         for start_turn in [0.0, -TAU, TAU] {
             let mut near = *start;
             near.0[5] += start_turn;
-            let Some(hover) = at(pick, hover_height(task, cycle), yaw, &near) else { continue };
-            let Some(at_pick) = at(pick, low, yaw, &hover) else { continue };
-            let Some(over_pick) = at(pick, high, yaw, &at_pick) else { continue };
-            let Some(over_place) = at(place, high, yaw + turn, &over_pick) else { continue };
-            let Some(at_place) = at(place, low, yaw + turn, &over_place) else { continue };
-            let way = start.max_difference(&hover) + over_pick.max_difference(&over_place);
-            let cost = way + wound(&hover) + wound(&over_place);
-            out.push(Candidate { yaw, hover, over_pick, pick: at_pick, over_place, place: at_place, cost });
+            let over = tool_down(x, y, hover_height(task, cycle), yaw);
+            let Some(hover) = model.joints_in_work_posture(&over, &near) else { continue };
+            let Some(candidate) = from_over(model, &hover, yaw, task, cycle) else { continue };
+            let way =
+                start.max_difference(&hover) + candidate.over_pick.max_difference(&candidate.over_place);
+            let cost = way + wound(&hover) + wound(&candidate.over_place);
+            out.push(Candidate { cost, ..candidate });
         }
     }
+    out.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     out
+}
+
+/// The corners of the move for an arm that comes over the object with this yaw.
+pub(crate) fn from_over(
+    model: &ArmModel,
+    hover: &Joints,
+    yaw: f64,
+    task: &PickNPlace,
+    cycle: &CycleParameters,
+) -> Option<Candidate> {
+    let at = |pose: &Pose2, z, yaw, near: &Joints| {
+        let [x, y] = pose.transform(task.grip_point);
+        model.joints_in_work_posture(&tool_down(x, y, z, yaw), near)
+    };
+    let (high, low) = (travel_height(task, cycle), task.height - cycle.press);
+    let turn = wrap_angle(task.to.theta - task.from.theta);
+    let at_pick = at(&task.from, low, yaw, hover)?;
+    let over_pick = at(&task.from, high, yaw, &at_pick)?;
+    let over_place = at(&task.to, high, yaw + turn, &over_pick)?;
+    let at_place = at(&task.to, low, yaw + turn, &over_place)?;
+    Some(Candidate { yaw, hover: *hover, over_pick, pick: at_pick, over_place, place: at_place, cost: 0.0 })
 }
 
 /// What it costs that the last joint is turned far, rad of the leading joint: where it is left at one end of
@@ -336,6 +298,19 @@ fn assemble(
         legs.push(lower);
         CheckedPath::new(model, start, &legs, &rooms.before)
     })?;
+    from_pick(model, approach, candidate, task, cycle, (rooms, search))
+}
+
+/// What comes after the approach.
+pub(crate) fn from_pick(
+    model: &ArmModel,
+    approach: CheckedPath,
+    candidate: &Candidate,
+    task: &PickNPlace,
+    cycle: &CycleParameters,
+    (rooms, search): (&Rooms, Option<Search>),
+) -> Result<PickNPlacePaths, PathFault> {
+    let low = task.height - cycle.press;
     let carry = carry_path(model, candidate, task, cycle, (rooms, search))?;
     let up = |from: &Joints, to: Joints, room: &Room| {
         CheckedPath::new(model, from, &[Leg::between(linear(to, cycle, 0.0), low - 1e-3)], room)
@@ -382,6 +357,12 @@ fn carry_path(
         })
 }
 
+/// The yaw of a tool that points down.
+pub(crate) fn yaw_at(model: &ArmModel, q: &Joints) -> f64 {
+    let ahead = model.tool_at(q).rotation * Vector3::x();
+    ahead.y.atan2(ahead.x)
+}
+
 /// From a place, where the arm is at `from`, straight up to `over` and on to `to`, as one motion; `None`
 /// where the way from there is not free for the tool with `load`, which was put down and may hang on it
 /// all the same. `table` is what else lies on it.
@@ -403,26 +384,6 @@ pub fn leave(
         CheckedPath::new(model, from, &[up, away], &room)
     };
     widest(radii, path).ok()
-}
-
-/// A way round what is in the straight way, stop by stop; `None` where none is searched for or found.
-fn round(
-    model: &ArmModel,
-    (from, to): (&Joints, &Joints),
-    cycle: &CycleParameters,
-    room: &Room,
-    search: Option<Search>,
-) -> Option<Vec<Leg>> {
-    let points = find(model, room, from, to, search?).ok()?;
-    Some(points.into_iter().map(|q| Leg::over(joint(q, cycle, 0.0), f64::NEG_INFINITY)).collect())
-}
-
-fn joint(target: Joints, cycle: &CycleParameters, blend: f64) -> Segment {
-    Segment::Joint { target, speed: cycle.joint_speed, acceleration: cycle.joint_acceleration, blend }
-}
-
-fn linear(target: Joints, cycle: &CycleParameters, blend: f64) -> Segment {
-    Segment::Linear { target, speed: cycle.tool_speed, acceleration: cycle.tool_acceleration, blend }
 }
 
 #[cfg(test)]

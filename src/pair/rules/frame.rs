@@ -7,6 +7,7 @@
 use crate::pair::rules::{KNOWN_FRAMES, Rule, Rules};
 use crate::pair::thin_arm::ThinModel;
 use cell_machine::machine::Machine;
+use cell_machine::supervisor::cell::Supervisor;
 use cell_machine::supervisor::status::{Doing, Status};
 use cell_values::units::Joints;
 use std::time::Duration;
@@ -21,6 +22,9 @@ const MOVES_RAD_S: f64 = 0.005;
 
 /// Frames from one look at the arm's bodies to the next, 20 ms.
 const BODIES_EVERY: u64 = 10;
+
+/// A tool that is so much lower than it was goes down, m.
+const DOWN_M: f64 = 5e-4;
 
 /// A state may be this old when a motion begins: 100 ms at the order, then network and program.
 const STATE_AGE_FRAMES: u64 = 75;
@@ -99,8 +103,12 @@ impl Rules {
             self.stopped_at = None;
             self.armed_at = Some(frame);
         }
-        if moves && !stranger && !self.stranger && frame.is_multiple_of(BODIES_EVERY) {
-            self.check_bodies(machine, &core.robot.controller().core.mover.q());
+        if frame.is_multiple_of(BODIES_EVERY) {
+            let q = core.robot.controller().core.mover.q();
+            if moves && !stranger && !self.stranger {
+                self.check_bodies(machine, &q);
+            }
+            self.check_descent(machine, &q);
         }
         self.check_stopped(moves);
         self.check_vacuum(frame, simulator, machine.supervisor().is_none_or(|cell| !cell.mode().ending()));
@@ -125,6 +133,21 @@ impl Rules {
         let distance = thin.least_at(q);
         if distance < 0.0 {
             self.breach(Rule::ArmMeets, format!("{:.1} mm deep at {q:?}", -1e3 * distance));
+        }
+    }
+
+    /// An empty tool goes down among the objects only for a pick on a sight of the table as it is now.
+    fn check_descent(&mut self, machine: &Machine, q: &Joints) {
+        let Some(model) = machine.supervisor().map(Supervisor::model) else { return };
+        let height = model.arm.tool_at(q).translation.z;
+        let picks = self.meant && !self.gripped;
+        let goes_down = height < self.height - DOWN_M;
+        if goes_down || height > self.height || !picks {
+            self.height = height;
+        }
+        if goes_down && height < model.cycle.tallest && picks && self.sight <= self.disturbed {
+            let detail = format!("{:.0} mm over the table on the way down", 1e3 * height);
+            self.breach(Rule::PickOnOldSight, detail);
         }
     }
 

@@ -12,7 +12,7 @@ use ur_wire::rtde_variables::Register;
 pub const SEQUENCE: u8 = 24;
 /// In int: what to do.
 pub const OPCODE: u8 = 25;
-/// In int: bit 0 = no segment follows.
+/// In int: bit 0 = no segment follows, bit 1 = to a waiting place.
 pub const OPTIONS: u8 = 26;
 /// In int: changes at least every 20 ms while celld lives.
 pub const HEARTBEAT: u8 = 27;
@@ -140,6 +140,8 @@ pub struct CommandRegisters {
     pub opcode: Opcode,
     /// No segment follows.
     pub last: bool,
+    /// To a waiting place: left out where another command is there when its turn comes.
+    pub waits: bool,
     /// Joint target (rad), payload or TCP.
     pub arguments: [f64; 6],
     /// rad/s or m/s.
@@ -158,6 +160,7 @@ impl CommandRegisters {
             sequence,
             opcode,
             last: false,
+            waits: false,
             arguments,
             speed: 0.0,
             acceleration: 0.0,
@@ -175,7 +178,8 @@ impl CommandRegisters {
     /// Values for the recipe of [`CommandRegisters::names`]. Everything goes out in one package, which the
     /// controller takes over within one frame.
     pub fn values(&self) -> Vec<Value> {
-        let ints = [self.sequence, self.opcode.code(), i32::from(self.last)].map(Value::Int32);
+        let options = i32::from(self.last) | i32::from(self.waits) << 1;
+        let ints = [self.sequence, self.opcode.code(), options].map(Value::Int32);
         let doubles = [self.speed, self.acceleration, self.blend].map(Value::Double);
         ints.into_iter().chain(self.arguments.map(Value::Double)).chain(doubles).collect()
     }

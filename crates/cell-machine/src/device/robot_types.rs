@@ -212,6 +212,10 @@ pub enum RobotCommand {
     },
     /// Follow a path after everything sent before.
     Stream(CheckedPath),
+    /// The same, where the next path is not known yet: it begins where this one ends, and where it is there
+    /// before the last segment's turn, that one is left out. The next path has to be free from the corner
+    /// before the last segment as well as from its end.
+    SetOut(CheckedPath),
     /// Payload from here on in the stream.
     SetPayload {
         /// kg, everything beyond the flange.
@@ -238,7 +242,7 @@ impl RobotCommand {
             RobotCommand::PowerOn => "power on",
             RobotCommand::ReleaseBrakes => "brake release",
             RobotCommand::StartProgram { .. } => "starting the program",
-            RobotCommand::Stream(_) => "a path",
+            RobotCommand::Stream(_) | RobotCommand::SetOut(_) => "a path",
             RobotCommand::SetPayload { .. } => "the payload",
             RobotCommand::SetTcp(_) => "the TCP",
             RobotCommand::Stop => "stop",
@@ -383,14 +387,14 @@ pub enum RobotEvent {
         /// Why.
         reason: ProgramEnd,
     },
-    /// A segment has been followed (a blended one: its blend has begun).
+    /// A segment has been followed (a blended one: its blend has begun), or was left out.
     SegmentFinished {
         /// Number of the path, see `Robot::last_batch`.
         batch: u32,
         /// Index of the segment in the path.
         index: usize,
     },
-    /// The arm is at rest at the end of a path.
+    /// The arm is at rest at the end of a path. Not reported of a way that went on in another.
     PathFinished {
         /// Number of the path.
         batch: u32,

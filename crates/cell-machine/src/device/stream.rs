@@ -50,9 +50,20 @@ pub enum Done {
     Tcp([f64; 6]),
 }
 
+/// What follows a segment.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+enum End {
+    /// Another one of its path.
+    GoesOn,
+    /// The arm rests at its end.
+    Rests,
+    /// The arm rests at its end, unless another path is there when its turn comes: then it is left out.
+    Waits,
+}
+
 #[derive(Clone, Copy, Debug, Deserialize, Serialize)]
 enum What {
-    Segment { batch: u32, index: usize, last: bool },
+    Segment { batch: u32, index: usize, end: End },
     Setting(Done),
 }
 
@@ -127,15 +138,28 @@ impl Stream {
     /// # Errors
     /// Too much is waiting.
     pub fn push_path(&mut self, path: &CheckedPath, dh: &DhParameters) -> Result<u32, Refused> {
+        self.push(path, End::Rests, dh)
+    }
+
+    /// Adds a path whose last segment goes to where what comes next is waited for: it is left out where that
+    /// is there in time. The end of such a path that goes on in another is not reported.
+    ///
+    /// # Errors
+    /// Too much is waiting.
+    pub fn push_to_wait(&mut self, path: &CheckedPath, dh: &DhParameters) -> Result<u32, Refused> {
+        self.push(path, End::Waits, dh)
+    }
+
+    fn push(&mut self, path: &CheckedPath, end: End, dh: &DhParameters) -> Result<u32, Refused> {
         let segments = path.segments();
         self.room_for(segments.len())?;
         self.batch = self.batch.wrapping_add(1);
         let mut from = path.start();
         for (index, segment) in segments.iter().enumerate() {
-            let last = index + 1 == segments.len();
-            let what = What::Segment { batch: self.batch, index, last };
+            let end = if index + 1 == segments.len() { end } else { End::GoesOn };
+            let what = What::Segment { batch: self.batch, index, end };
             let nominal_s = nominal_duration_s(dh, &from, segment);
-            self.waiting.push_back(Item { what, command: segment_registers(segment, last), nominal_s });
+            self.waiting.push_back(Item { what, command: segment_registers(segment, end), nominal_s });
             from = segment.target();
         }
         self.end = Some(from);
@@ -176,8 +200,13 @@ impl Stream {
     /// True if the next command begins a path and everything before it is done: the moment to make sure that
     /// payload and TCP are what they should be.
     pub fn path_begins(&self) -> bool {
+        self.sent.is_empty() && self.path_is_next()
+    }
+
+    /// True if the next command begins a path, whatever is under way.
+    pub fn path_is_next(&self) -> bool {
         let begins = |item: &Item| matches!(item.what, What::Segment { index: 0, .. });
-        self.sent.is_empty() && self.waiting.front().is_some_and(begins)
+        self.waiting.front().is_some_and(begins)
     }
 
     /// The next command to write, if the program has taken the one before and has room.
@@ -222,13 +251,14 @@ impl Stream {
 
     fn finish(&mut self, what: What) {
         match what {
-            What::Segment { batch, index, last } => {
+            What::Segment { batch, index, end } => {
                 self.done.push_back(Done::Segment { batch, index });
-                if last {
-                    self.done.push_back(Done::Path { batch });
-                    if batch == self.batch {
-                        self.end = None;
-                    }
+                if end == End::GoesOn || (end == End::Waits && batch != self.batch) {
+                    return;
+                }
+                self.done.push_back(Done::Path { batch });
+                if batch == self.batch {
+                    self.end = None;
                 }
             }
             What::Setting(setting) => self.done.push_back(setting),
@@ -265,7 +295,7 @@ impl Stream {
     }
 }
 
-fn segment_registers(segment: &Segment, last: bool) -> CommandRegisters {
+fn segment_registers(segment: &Segment, end: End) -> CommandRegisters {
     let (opcode, target, speed, acceleration, blend) = match *segment {
         Segment::Joint { target, speed, acceleration, blend } => {
             (Opcode::MoveJoint, target, speed, acceleration, blend)
@@ -275,8 +305,18 @@ fn segment_registers(segment: &Segment, last: bool) -> CommandRegisters {
         }
     };
     // The last segment of a path ends at rest: what comes next may not be a motion.
+    let last = end != End::GoesOn;
     let blend = if last { 0.0 } else { blend };
-    CommandRegisters { sequence: 0, opcode, last, arguments: target.0, speed, acceleration, blend }
+    let waits = end == End::Waits;
+    CommandRegisters {
+        last,
+        waits,
+        arguments: target.0,
+        speed,
+        acceleration,
+        blend,
+        ..CommandRegisters::bare(0, opcode)
+    }
 }
 
 /// Duration of a segment at full speed, s: a trapezoid that reaches its speed, so rather too long than too

@@ -238,6 +238,12 @@ impl Supervisor {
             }
             Phase::Work(_) => "pauses after the present pick-n-place",
             Phase::Park => "the arm goes on to its park pose, then it rests",
+            Phase::Look(_) if self.has_set_out() => {
+                "the arm goes on to over the next object, then it rests; `celld abort` stops it now"
+            }
+            Phase::Look(look) if look.void => {
+                "the arm goes on to the end of its way, then it rests; `celld abort` stops it now"
+            }
             Phase::Look(_) if self.job.is_some() => {
                 "the arm goes round its look poses, then it rests; `celld abort` stops it now"
             }

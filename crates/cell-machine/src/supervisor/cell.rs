@@ -209,7 +209,10 @@ impl Supervisor {
         };
         self.robot_seen |= devices.robot_fresh && devices.robot.is_some();
         let mut actions = self.decide(now, devices, input);
-        if actions.iter().any(|action| matches!(action, Action::Robot(RobotCommand::Stream(_)))) {
+        let path = |action: &Action| {
+            matches!(action, Action::Robot(RobotCommand::Stream(_) | RobotCommand::SetOut(_)))
+        };
+        if actions.iter().any(path) {
             self.times.begins_path();
         }
         self.watch_standing(now, devices, order, &mut actions);
@@ -225,7 +228,7 @@ impl Supervisor {
             Input::Gripper(event) => self.on_gripper(now, devices, event, &mut out),
             Input::Exposed => self.on_exposed(now, devices, &mut out),
             Input::Captured(result) => self.on_captured(now, devices, result, &mut out),
-            Input::Observed(result) => self.on_observed(now, result, &mut out),
+            Input::Observed(result) => self.on_observed(now, devices, result, &mut out),
             Input::Pictured(result) => self.on_pictured(result, &mut out),
             Input::Planned(answer) => self.on_planned(now, *answer, &mut out),
             Input::Committed { number, result } => self.on_committed(now, devices, number, result, &mut out),
@@ -269,7 +272,7 @@ impl Supervisor {
     pub(crate) fn follows_a_path(&self) -> bool {
         match &self.phase {
             Phase::Park | Phase::Visit(Visit::Moving) => true,
-            Phase::Look(look) => matches!(look.stage, LookStage::Moving),
+            Phase::Look(look) => matches!(look.stage, LookStage::Moving) || self.has_set_out(),
             Phase::Work(work) => work.stage.follows_a_path(),
             Phase::Recover(stage) => stage.follows_a_path(),
             Phase::Ready | Phase::BringUp(_) | Phase::Plan | Phase::Approve | Phase::Visit(_) => false,

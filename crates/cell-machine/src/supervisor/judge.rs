@@ -289,11 +289,11 @@ impl Supervisor {
     /// obstacle.
     pub(crate) fn meets_foreign(
         &self,
+        seen: &Observation,
         places: &[[f64; 2]],
         radius_m: f64,
         underside_m: f64,
     ) -> Option<String> {
-        let seen = self.seen.as_ref()?;
         let margin_m = margin_m(&self.model);
         let disc = Footprint::Disc { radius: radius_m };
         let tall = foreign_obstacles(&self.model, seen)

@@ -41,6 +41,9 @@ impl Look {
             fault: None,
             failed: None,
             void: false,
+            exposed: None,
+            known: None,
+            ahead: None,
         }
     }
 }
@@ -143,6 +146,9 @@ impl Supervisor {
         if let Some(fault) = look.failed.take() {
             return self.give_up_looking(now, &fault, out);
         }
+        if let Some(shown) = look.ahead.take().and_then(|ahead| ahead.shown) {
+            return self.take_observed(now, shown, out);
+        }
         if matches!(look.stage, LookStage::Moving) {
             look.stage = LookStage::Settling { still_since: None };
         }
@@ -189,7 +195,8 @@ impl Supervisor {
         if look.at == look.poses.len() {
             look.at -= 1;
             look.stage = LookStage::Observing;
-            return;
+            look.exposed = Some(now);
+            return self.set_out(devices, out);
         }
         // Much may have happened since the first pose: a person may have disarmed the cell.
         let open = gates::any_motion(self.mode.armed(), devices, self.nonce).is_ok();
@@ -251,6 +258,7 @@ impl Supervisor {
         let Phase::Look(look) = &mut self.phase else { return };
         match look.stage {
             LookStage::Moving => look.failed = Some(fault),
+            LookStage::Observing if look.ahead.is_some() => look.failed = Some(fault),
             LookStage::Settling { .. } | LookStage::Capturing { .. } | LookStage::Observing => {
                 self.give_up_looking(now, &fault, out);
             }
@@ -300,9 +308,12 @@ impl Supervisor {
         self.finish(now, JobStatus::Failed, reason, out);
     }
 
+    /// What the pictures of a look show together. An arm that has set out goes on with it, or else comes to
+    /// rest first.
     pub(crate) fn on_observed(
         &mut self,
         now: Timestamp,
+        devices: &DeviceSnapshot,
         result: Result<Box<Observation>, String>,
         out: &mut Vec<Action>,
     ) {
@@ -310,7 +321,29 @@ impl Supervisor {
         if !matches!(look.stage, LookStage::Observing) {
             return;
         }
+        look.known = Some(now);
+        if let Some(exposed) = look.exposed {
+            self.sight.searched_s = now.since(exposed).as_secs_f64();
+        }
+        match &mut look.ahead {
+            None => self.take_observed(now, result, out),
+            Some(ahead) => {
+                ahead.shown = Some(result);
+                self.go_on(now, devices, out);
+            }
+        }
+    }
+
+    pub(crate) fn take_observed(
+        &mut self,
+        now: Timestamp,
+        result: Result<Box<Observation>, String>,
+        out: &mut Vec<Action>,
+    ) {
+        let Phase::Look(look) = &mut self.phase else { return };
         let (region, stops) = (look.region.take(), std::mem::take(&mut look.stops));
+        // What waited for the arm to rest is as old as it is.
+        let known = look.known.unwrap_or(now);
         let for_age = std::mem::take(&mut look.for_age);
         self.phase = Phase::Ready;
         let observation = match result {
@@ -349,11 +382,17 @@ impl Supervisor {
             None => observation,
         };
         self.back.table = observation.objects.iter().map(|object| (object.id.clone(), object.pose)).collect();
-        self.judge_look(now, observation, whole, out);
+        self.judge_look((now, known), observation, whole, out);
     }
 
     /// What was seen is acted upon, or doubted.
-    fn judge_look(&mut self, now: Timestamp, observation: Observation, whole: bool, out: &mut Vec<Action>) {
+    fn judge_look(
+        &mut self,
+        (now, known): (Timestamp, Timestamp),
+        observation: Observation,
+        whole: bool,
+        out: &mut Vec<Action>,
+    ) {
         let fault = self.judge(&observation);
         if let Some(height) = foreign_height(&self.model, &observation) {
             self.foreign_height = if whole { height } else { self.foreign_height.max(height) };
@@ -373,11 +412,11 @@ impl Supervisor {
                 (job.look_failures, job.rejection) = (0, None);
                 report_absent(job, &observation, out);
                 if whole {
-                    self.glance = Some(Glance { seen: observation.clone(), at: now });
+                    self.glance = Some(Glance { seen: observation.clone(), at: known });
                 }
                 let before = self.seen.replace(observation);
-                self.seen_at = now;
-                self.looked(now, whole, before.as_ref());
+                self.seen_at = known;
+                self.looked(known, whole, before.as_ref());
             }
             Some(rejection) => {
                 self.seen = None;

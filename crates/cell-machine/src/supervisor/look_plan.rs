@@ -23,6 +23,9 @@ pub(crate) struct Sight {
     /// When the last look that showed an object was over: a slow arm may take long from stop to stop, and
     /// what a look has just shown is not old for that.
     pub looked_at: BTreeMap<String, Timestamp>,
+    /// How long the pictures of the last look were searched after the last of them was taken, s; 0 before
+    /// the first.
+    pub searched_s: f64,
 }
 
 /// From where the table is looked at, in order, and what has to be seen: the whole table where there is no

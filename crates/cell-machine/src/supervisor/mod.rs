@@ -39,6 +39,7 @@ mod recovery;
 pub mod round;
 mod route;
 pub mod safety_words;
+mod set_out;
 mod sight;
 pub mod situation;
 mod standing;
@@ -52,4 +53,4 @@ mod wanted;
 mod work;
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

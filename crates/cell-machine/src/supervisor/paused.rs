@@ -20,9 +20,9 @@ impl Supervisor {
         let mut out = if playing { std::mem::take(&mut self.held_back) } else { Vec::new() };
         for action in actions {
             match &action {
-                Action::Robot(RobotCommand::Stream(_) | RobotCommand::SetPayload { .. })
-                    if !playing && self.moving() =>
-                {
+                Action::Robot(
+                    RobotCommand::Stream(_) | RobotCommand::SetOut(_) | RobotCommand::SetPayload { .. },
+                ) if !playing && self.moving() => {
                     self.held_back.push(action);
                     continue;
                 }
@@ -32,6 +32,7 @@ impl Supervisor {
                 }
                 Action::Robot(
                     RobotCommand::Stream(_)
+                    | RobotCommand::SetOut(_)
                     | RobotCommand::SetPayload { .. }
                     | RobotCommand::PowerOn
                     | RobotCommand::ReleaseBrakes

@@ -8,6 +8,7 @@ use crate::supervisor::input::CameraFault;
 use crate::supervisor::look_plan::LookPlan;
 use crate::supervisor::look_plan::Stop;
 use crate::supervisor::order::{JobOrder, RouteAction};
+use cell_motion::path::CheckedPath;
 use cell_motion::pick_n_place::PickNPlacePaths;
 use cell_values::time::Timestamp;
 use cell_values::units::Joints;
@@ -72,6 +73,21 @@ pub(crate) struct Look {
     pub failed: Option<CameraFault>,
     /// The cell was disarmed on the way: what was seen before proves nothing.
     pub void: bool,
+    /// When the frames of the last pose were exposed.
+    pub exposed: Option<Timestamp>,
+    /// When it was known what all pictures show.
+    pub known: Option<Timestamp>,
+    /// The arm is on its way to the next object while the last picture is searched.
+    pub ahead: Option<Ahead>,
+}
+
+/// A way to over the next object, on which the arm has set out before it is known to be where it was.
+#[derive(Debug, Deserialize, Serialize)]
+pub(crate) struct Ahead {
+    /// To the waiting place there.
+    pub path: CheckedPath,
+    /// What the look showed, where the arm does not go on with it before it rests.
+    pub shown: Option<Result<Box<Observation>, String>>,
 }
 
 /// How far a look is.

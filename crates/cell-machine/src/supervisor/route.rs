@@ -49,10 +49,7 @@ impl Supervisor {
             return;
         }
         let (Some(job), Some(seen)) = (&self.job, &self.seen) else { return };
-        let there = |(id, goal): &(String, Pose2)| {
-            seen.objects.iter().any(|object| object.id == *id && self.model.at_goal(&object.pose, goal))
-        };
-        let done = job.order.goals.iter().all(there);
+        let done = self.all_at_goals(job, seen);
         if done && self.sight.whole {
             let what = match job.order.goals.is_empty() {
                 true => "the table was looked at",
@@ -74,8 +71,16 @@ impl Supervisor {
         }
     }
 
+    /// Every object of a job is where the job wants it.
+    pub(crate) fn all_at_goals(&self, job: &JobRun, seen: &Observation) -> bool {
+        let there = |(id, goal): &(String, Pose2)| {
+            seen.objects.iter().any(|object| object.id == *id && self.model.at_goal(&object.pose, goal))
+        };
+        job.order.goals.iter().all(there)
+    }
+
     /// The rest of the route on the table as it was seen, if the checker still accepts it.
-    fn checked_remainder(&self, job: &JobRun, seen: &Observation) -> Option<Vec<RouteAction>> {
+    pub(crate) fn checked_remainder(&self, job: &JobRun, seen: &Observation) -> Option<Vec<RouteAction>> {
         let mut route = job.route.clone().filter(|route| !route.is_empty())?;
         let instance = self.instance(&job.order.goals, seen, self.model.clearance * CLEARANCE_SHARE);
         let problem = Problem::new(&instance).ok()?;

@@ -64,7 +64,9 @@ impl Supervisor {
             (object.id.clone(), at.unwrap_or(now))
         };
         let looked_at = self.seen.iter().flat_map(|seen| &seen.objects).map(looked_at).collect();
-        self.sight = Sight { disturbed: Region::default(), made_for, whole, since_whole, looked_at };
+        let searched_s = self.sight.searched_s;
+        let disturbed = Region::default();
+        self.sight = Sight { disturbed, made_for, whole, since_whole, looked_at, searched_s };
     }
 
     /// What was seen is still what a pick has to rest on, and nothing of it is too old.
@@ -260,7 +262,7 @@ impl Supervisor {
     }
 
     /// A stop of a look that came after the last picture of an object shows the place of its marker.
-    fn should_have_shown(&self, object: &ObjectEstimate, stops: &[Stop]) -> bool {
+    pub(crate) fn should_have_shown(&self, object: &ObjectEstimate, stops: &[Stop]) -> bool {
         let (Some(known), Some(views)) = (self.model.object(&object.id), self.model.views()) else {
             return false;
         };

@@ -592,5 +592,6 @@ mod lapse;
 mod moving;
 mod preview;
 mod rounds;
+pub(crate) mod set_out;
 mod sight;
 mod standing;

@@ -22,6 +22,7 @@ use cell_motion::pick_n_place::{PickNPlace, PickNPlacePaths, leave, plan};
 use cell_motion::put_down::Grasp;
 use cell_values::time::Timestamp;
 use cell_values::units::Joints;
+use cell_vision::observe::Observation;
 use rearrange::geometry::collision::penetration;
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
@@ -51,7 +52,7 @@ impl Supervisor {
         let Some(job) = &self.job else { return };
         let Some(next) = job.route.as_ref().and_then(|route| route.first()).cloned() else { return };
         let Some(object) = self.model.object(&next.object) else { return };
-        if let Some(neighbour) = self.body_meets(&next, object) {
+        if let Some(neighbour) = self.seen.as_ref().and_then(|seen| self.body_meets(seen, &next, object)) {
             let message = format!("the gripper's body would meet {neighbour} beside {}", next.object);
             let hint = "move the two apart by hand, or give the job a goal with more room";
             let reason = Code::Unpickable.because(message, hint).of(&next.object);
@@ -59,17 +60,29 @@ impl Supervisor {
         }
         let table = self.tabletop(self.seen.as_ref(), &next.object);
         let task = object.pick_n_place(next.from, next.to);
-        let paths = match self.paths(&robot.q, &task, &table) {
-            Ok(paths) => paths,
+        match self.paths(&robot.q, &task, &table) {
+            Ok(paths) => self.set_to_work(now, devices, &next, paths, out),
             Err(fault) => {
                 let message = format!("{} cannot be moved: {fault}", next.object);
                 let reason = Code::Unreachable.because(message, fault.hint()).of(&next.object);
-                return self.finish(now, JobStatus::Failed, reason, out);
+                self.finish(now, JobStatus::Failed, reason, out);
             }
-        };
-        let (held, object) = (self.held(object, &next, &paths), next.object.clone());
-        let meant = self.meant.take().filter(|meant| self.is_as_meant(meant, &next, held.grasp.as_ref()));
-        let meant = meant.unwrap_or_else(|| self.mean(now, &next, held.grasp.as_ref(), out));
+        }
+    }
+
+    /// Begins a pick-n-place on these paths as soon as it is written down.
+    pub(crate) fn set_to_work(
+        &mut self,
+        now: Timestamp,
+        devices: &DeviceSnapshot,
+        next: &RouteAction,
+        paths: PickNPlacePaths,
+        out: &mut Vec<Action>,
+    ) {
+        let Some(object) = self.model.object(&next.object) else { return };
+        let (held, object) = (self.held(object, next, &paths), next.object.clone());
+        let meant = self.meant.take().filter(|meant| self.is_as_meant(meant, next, held.grasp.as_ref()));
+        let meant = meant.unwrap_or_else(|| self.mean(now, next, held.grasp.as_ref(), out));
         let stage = WorkStage::NotingIntent(meant.number);
         let work = Work { object, from: next.from, held, paths, stage, over: false, then: None };
         self.enter(Phase::Work(Box::new(work)), self.model.tolerances.phase_deadline);
@@ -95,7 +108,7 @@ impl Supervisor {
     }
 
     /// What will hang on the gripper.
-    fn held(&self, object: &CellObject, next: &RouteAction, paths: &PickNPlacePaths) -> Held {
+    pub(crate) fn held(&self, object: &CellObject, next: &RouteAction, paths: &PickNPlacePaths) -> Held {
         let lying = object.pick_n_place(next.from, next.to).lying_at(next.from);
         Held {
             object: next.object.clone(),
@@ -132,7 +145,7 @@ impl Supervisor {
     }
 
     /// What was written down is what is about to be done.
-    fn is_as_meant(&self, meant: &Meant, next: &RouteAction, grasp: Option<&Grasp>) -> bool {
+    pub(crate) fn is_as_meant(&self, meant: &Meant, next: &RouteAction, grasp: Option<&Grasp>) -> bool {
         let near = |a: &Pose2, b: &Pose2| a.distance(b) <= AS_MEANT.0 && a.angle_difference(b) <= AS_MEANT.1;
         let hangs = match (&meant.tool_from_object, grasp) {
             (Some(meant), Some(grasp)) => near(meant, &grasp.load().tool_from_object),
@@ -194,12 +207,16 @@ impl Supervisor {
 
     /// An object so tall that the gripper's body, coming down for the pick or the place, would touch it. The
     /// body counts as a disc about the tool's axis, for the yaw is chosen later.
-    fn body_meets(&self, next: &RouteAction, object: &CellObject) -> Option<String> {
-        let seen = self.seen.as_ref()?;
+    pub(crate) fn body_meets(
+        &self,
+        seen: &Observation,
+        next: &RouteAction,
+        object: &CellObject,
+    ) -> Option<String> {
         let body = self.model.grip.body_radius;
         let underside = object.height - self.model.cycle.press + self.model.grip.body_above_lips;
         let places = [next.from, next.to].map(|pose| pose.transform(object.grip_point));
-        if let Some(foreign) = self.meets_foreign(&places, body, underside) {
+        if let Some(foreign) = self.meets_foreign(seen, &places, body, underside) {
             return Some(foreign);
         }
         let others = seen.objects.iter().filter(|other| other.id != object.id);

@@ -6,8 +6,10 @@ use crate::device::registers::{CommandRegisters, Opcode};
 use crate::device::robot::Robot;
 use crate::device::robot::parts::{ArmGoal, ArmWait, Program};
 use crate::device::robot_types::{Link, Refused, RobotCommand, RobotEvent, RobotState};
+use crate::device::stream::Stream;
 use cell_motion::path::CheckedPath;
 use cell_values::time::{Duration, Timestamp};
+use ur_arm::kinematics::DhParameters;
 use ur_wire::dashboard::Command;
 use ur_wire::enumerations::{RobotMode, RuntimeState};
 
@@ -37,7 +39,8 @@ impl Robot {
                 self.arm_is_ready()?;
                 self.start_program(now, nonce)
             }
-            RobotCommand::Stream(path) => self.stream_path(&path),
+            RobotCommand::Stream(path) => self.stream_path(&path, Stream::push_path),
+            RobotCommand::SetOut(path) => self.stream_path(&path, Stream::push_to_wait),
             RobotCommand::SetPayload { mass_kg, centre_of_gravity_m } => {
                 self.program_takes_commands()?;
                 within("payload in kg", mass_kg, 0.0, MAX_PAYLOAD_KG)?;
@@ -128,14 +131,18 @@ impl Robot {
         }
     }
 
-    fn stream_path(&mut self, path: &CheckedPath) -> Result<(), Refused> {
+    fn stream_path(
+        &mut self,
+        path: &CheckedPath,
+        push: fn(&mut Stream, &CheckedPath, &DhParameters) -> Result<u32, Refused>,
+    ) -> Result<(), Refused> {
         let state = self.program_takes_commands()?;
         let from = self.stream.end().unwrap_or(state.q);
         let difference_rad = from.max_difference(&path.start());
         if difference_rad > START_TOLERANCE_RAD || !path.start().is_finite() {
             return Err(Refused::WrongStart { difference_rad });
         }
-        self.stream.push_path(path, &self.dh).map(|_| ())
+        push(&mut self.stream, path, &self.dh).map(|_| ())
     }
 
     /// Writes a command that is taken with any new number.

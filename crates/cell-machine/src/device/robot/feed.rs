@@ -76,7 +76,7 @@ impl Robot {
             return self.hold_commands(now, refused);
         }
         let remote_control_is_old = now.since(self.remote_control_at) > REMOTE_CONTROL_WITHIN;
-        if self.stream.path_begins() && remote_control_is_old {
+        if self.stream.path_is_next() && remote_control_is_old {
             return self.hold_commands(now, Refused::RemoteControlUnknown);
         }
         self.held_since = None;

@@ -2,13 +2,13 @@
 
 use super::*;
 
-fn thing(x: f64, y: f64, height_m: f64) -> ForeignObject {
+pub(super) fn thing(x: f64, y: f64, height_m: f64) -> ForeignObject {
     let outline =
         vec![[x - 0.03, y - 0.03], [x + 0.03, y - 0.03], [x + 0.03, y + 0.03], [x - 0.03, y + 0.03]];
     ForeignObject { outline, centre: [x, y], area_m2: 0.0036, height_m }
 }
 
-fn report(objects: Vec<ForeignObject>, measured_share: f64) -> Option<ForeignReport> {
+pub(super) fn report(objects: Vec<ForeignObject>, measured_share: f64) -> Option<ForeignReport> {
     Some(ForeignReport { objects, measured_share, ..ForeignReport::default() })
 }
 

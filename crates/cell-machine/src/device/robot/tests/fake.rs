@@ -34,6 +34,8 @@ pub struct Fake {
     pub tcp: [f64; 6],
     /// Sequence numbers in the order they were taken, with opcodes and the time.
     pub taken: Vec<(i32, i32)>,
+    /// And their options.
+    pub options: Vec<i32>,
     pub heartbeats: Vec<Timestamp>,
     pub uploads: Vec<String>,
     pub dashboard_lines: Vec<String>,
@@ -83,6 +85,7 @@ impl Fake {
             payload: (0.0, [0.0; 3]),
             tcp: [0.0; 6],
             taken: Vec::new(),
+            options: Vec::new(),
             heartbeats: Vec::new(),
             uploads: Vec::new(),
             dashboard_lines: Vec::new(),
@@ -402,6 +405,7 @@ impl Fake {
     fn take(&mut self, sequence: i32, opcode: i32) {
         self.set_out(25, sequence);
         self.taken.push((sequence, opcode));
+        self.options.push(self.int(Register::InputInt(26)));
     }
 
     fn work(&mut self) {

@@ -3,6 +3,7 @@
 mod fake;
 mod handshake;
 mod running;
+mod waiting;
 
 use crate::device::program::Nonce;
 use crate::device::robot::Robot;

@@ -8,7 +8,7 @@ use crate::device::robot_types::{Link, ProgramEnd, Refused, RobotCommand, RobotE
 use cell_values::time::Duration;
 use cell_values::units::Joints;
 
-fn turned(by: f64) -> Joints {
+pub(super) fn turned(by: f64) -> Joints {
     let mut q = HOME;
     q.0[0] += by;
     q
