@@ -23,7 +23,7 @@ use cell_values::time::Timestamp;
 use cell_vision::region::Region;
 
 /// The arm sets out where the search of the pictures, if it takes as long as the last one, is over within
-/// this share of the way, and so much more, s: what comes later finds the arm on its way to the waiting
+/// this share of the way with so much to spare, s: what comes later finds the arm on its way to the waiting
 /// place.
 const SEARCHED_WITHIN: f64 = 0.5;
 const SPARE_S: f64 = 0.05;

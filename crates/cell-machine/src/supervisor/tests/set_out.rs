@@ -206,6 +206,12 @@ fn shows_nothing(bench: &mut Bench) -> Vec<Action> {
     bench.feed(Input::Observed(Ok(Box::new(shown))))
 }
 
+/// A picture was taken and shows nothing, for this reason.
+fn not_searched(code: Code) -> Input {
+    let (message, hint) = ("the picture shows nothing".into(), "look at the camera".into());
+    Input::Captured(Err(CameraFault { code, message, hint, lasting: true }))
+}
+
 #[test]
 fn a_picture_that_cannot_be_searched_ends_the_look_at_the_next_stop() {
     let mut bench = Bench::new();
@@ -216,13 +222,7 @@ fn a_picture_that_cannot_be_searched_ends_the_look_at_the_next_stop() {
     bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
     bench.ticks(10);
     bench.feed(Input::Exposed);
-    let fault = CameraFault {
-        code: Code::DetectionFailed,
-        message: "the marker detector failed".into(),
-        hint: "start the daemon again".into(),
-        lasting: true,
-    };
-    let on_the_way = bench.feed(Input::Captured(Err(fault)));
+    let on_the_way = bench.feed(not_searched(Code::DetectionFailed));
     assert_eq!(ended(&on_the_way), None, "the arm moves");
     let rests = bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 2 }));
     assert_eq!(ended(&rests), Some((JobStatus::Failed, Code::DetectionFailed.as_str().into())));
@@ -231,13 +231,7 @@ fn a_picture_that_cannot_be_searched_ends_the_look_at_the_next_stop() {
 #[test]
 fn a_picture_that_cannot_be_searched_ends_the_job_when_the_arm_rests() {
     let (mut bench, _) = set_out();
-    let fault = CameraFault {
-        code: Code::CameraDark,
-        message: "the picture is dark".into(),
-        hint: "uncover the lens".into(),
-        lasting: false,
-    };
-    let failed = bench.feed(Input::Captured(Err(fault)));
+    let failed = bench.feed(not_searched(Code::CameraDark));
     assert_eq!((ended(&failed), streams(&failed)), (None, 0));
     let rests = arrives(&mut bench);
     assert_eq!(ended(&rests), Some((JobStatus::Failed, "camera_dark".into())));
