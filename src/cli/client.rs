@@ -2,6 +2,7 @@
 //!
 //! In: `--state` on the command line; faults. Out: the state folder, and a fault with its causes on stderr.
 
+use crate::cli::task::outln;
 use crate::jobs::command::{Command, FOR_ANOTHER, Given, Sent};
 use crate::jobs::journal::JournalError;
 use crate::jobs::state::{StateError, StateFolder};
@@ -13,6 +14,7 @@ use cell_machine::orders::Reply;
 use clap::{Args, ValueEnum};
 use rearrange::document::chain::chain;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// Output for people or programs.
@@ -55,10 +57,31 @@ pub(super) enum ClientError {
     NoDaemon { state: PathBuf, start: String },
     #[error("celld is starting and takes no orders yet: {0}; `celld doctor` says what is missing")]
     Starting(String),
-    #[error("the daemon did not take the command within {0} s; see `celld status`")]
-    NoAnswer(u64),
-    #[error("the daemon took the command and did not answer within {0} s; see `celld status`")]
+    #[error(
+        "the daemon did not take the command within {0} s; it was taken back, nothing was done; see `celld status`"
+    )]
+    NotTaken(u64),
+    #[error(
+        "the daemon did not take the stop within {0} s; it still counts when the daemon takes it. If the arm moves, \
+         use the emergency stop"
+    )]
+    StopNotTaken(u64),
+    #[error(
+        "the daemon took the command and did not answer within {0} s; unless it was decided by now, nothing is done; \
+         see `celld status`"
+    )]
     NoReply(u64),
+    #[error("taken back: nothing was done")]
+    TakenBack,
+    #[error("a stop is not taken back; it counts when the daemon takes it")]
+    StopStands,
+    #[error(
+        "the daemon has the command; if it was decided before Ctrl-C, it goes on (see `celld status`, `celld abort` \
+         stops the arm), else nothing is done"
+    )]
+    Interrupted,
+    #[error("{0}")]
+    Refused(String),
     #[error("the terminal fails")]
     Terminal(#[source] std::io::Error),
     #[error(transparent)]
@@ -69,10 +92,13 @@ pub(super) enum ClientError {
     Journal(#[from] JournalError),
 }
 
-/// The error with its causes on stderr; exit code 1.
+/// The error with its causes on stderr; the exit code: 1, or 130 after Ctrl-C.
 pub(super) fn complain(error: &ClientError) -> u8 {
     cell_edge::terminal::complain(&chain(error));
-    1
+    match error {
+        ClientError::TakenBack | ClientError::StopStands | ClientError::Interrupted => 130,
+        _ => 1,
+    }
 }
 
 /// A complaint about usage on stderr; exit code 2.
@@ -81,8 +107,14 @@ pub(super) fn exit_2(text: &str) -> u8 {
     2
 }
 
-/// How long a daemon may take to answer.
-const ANSWER_WITHIN: Duration = Duration::from_secs(10);
+/// How long a daemon may take to take a command.
+const TAKEN_WITHIN: Duration = Duration::from_secs(10);
+
+/// How long it may take to answer one that it has taken: the arm may have to stop first.
+const ANSWER_WITHIN: Duration = Duration::from_secs(20);
+
+/// After Ctrl-C, for the answer to a command that was decided before.
+const LAST_WORD_WITHIN: Duration = Duration::from_secs(1);
 
 /// How long a daemon may take from its start to its first status.
 const START_WITHIN: Duration = Duration::from_secs(20);
@@ -91,23 +123,38 @@ const START_WITHIN: Duration = Duration::from_secs(20);
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
 /// Gives a command and waits for its answer.
-pub(super) fn request(state: &StateFolder, command: &Command) -> Result<Reply, ClientError> {
+pub(super) fn request(
+    state: &StateFolder,
+    command: &Command,
+    stop: &AtomicBool,
+) -> Result<Reply, ClientError> {
     let status = running_daemon(state)?;
     if status.state == STARTING {
         return Err(ClientError::Starting(status.message));
     }
-    sent(state, &status.daemon, command)
+    sent(state, &status.daemon, command, stop)
 }
 
-/// The same for what a daemon that waits for its robot takes too; one that has just been started is waited
-/// for.
-pub(super) fn request_at_start(state: &StateFolder, command: &Command) -> Result<Reply, ClientError> {
+/// Gives a command and prints the answer; the exit code.
+pub(super) fn send(state: &StateFolder, command: &Command, stop: &AtomicBool) -> Result<u8, ClientError> {
+    let Reply { accepted, message } = request(state, command, stop)?;
+    outln!("{message}");
+    Ok(if accepted { 0 } else { 1 })
+}
+
+/// As [`request`], for what a daemon that waits for its robot takes too; one that has just been started is
+/// waited for.
+pub(super) fn request_at_start(
+    state: &StateFolder,
+    command: &Command,
+    stop: &AtomicBool,
+) -> Result<Reply, ClientError> {
     let begun = Instant::now();
     loop {
-        let answered = running_daemon(state).and_then(|status| sent(state, &status.daemon, command));
+        let answered = running_daemon(state).and_then(|status| sent(state, &status.daemon, command, stop));
         match answered {
             // Its status may still be that of an earlier daemon, whose name no command reaches.
-            Err(ClientError::NoDaemon { .. } | ClientError::NoAnswer(_) | ClientError::NoReply(_))
+            Err(ClientError::NoDaemon { .. } | ClientError::NotTaken(_) | ClientError::NoReply(_))
                 if begun.elapsed() < START_WITHIN && state.is_taken()? =>
             {
                 std::thread::sleep(LOOK_EVERY);
@@ -120,23 +167,52 @@ pub(super) fn request_at_start(state: &StateFolder, command: &Command) -> Result
     }
 }
 
-fn sent(state: &StateFolder, daemon: &str, command: &Command) -> Result<Reply, ClientError> {
+fn sent(
+    state: &StateFolder,
+    daemon: &str,
+    command: &Command,
+    stop: &AtomicBool,
+) -> Result<Reply, ClientError> {
     let given = Given { unix_s: unix_now_s(), boot_s: boot_now_s() };
     let sent = Sent::send(&state.commands(), daemon, command, given)?;
     let begun = Instant::now();
-    while begun.elapsed() < ANSWER_WITHIN {
+    loop {
         if let Some(reply) = sent.poll()? {
+            return Ok(reply);
+        }
+        let interrupted = stop.load(Ordering::Relaxed);
+        let limit = if sent.lies_there() { TAKEN_WITHIN } else { ANSWER_WITHIN };
+        if interrupted || begun.elapsed() >= limit {
+            return give_up(sent, command.only_stops(), interrupted);
+        }
+        std::thread::sleep(LOOK_EVERY);
+    }
+}
+
+/// Waits no longer for the answer to a command. One that was not taken is taken back, so it is not obeyed
+/// once nobody expects it; a stop never is. One that was taken is carried out only if it was decided before.
+fn give_up(sent: Sent, stops: bool, interrupted: bool) -> Result<Reply, ClientError> {
+    let (late, there) = (TAKEN_WITHIN.as_secs(), sent.lies_there());
+    if stops && there {
+        return Err(if interrupted { ClientError::StopStands } else { ClientError::StopNotTaken(late) });
+    }
+    if !stops && there && sent.withdraw()? {
+        return Err(if interrupted { ClientError::TakenBack } else { ClientError::NotTaken(late) });
+    }
+    let last_word = sent.let_go();
+    let since = Instant::now();
+    while since.elapsed() < LAST_WORD_WITHIN {
+        if let Some(reply) = last_word.poll()? {
             return Ok(reply);
         }
         std::thread::sleep(LOOK_EVERY);
     }
-    // Taken back, so that it is not obeyed once it is no longer expected.
     let seconds = ANSWER_WITHIN.as_secs();
-    Err(if sent.withdraw()? { ClientError::NoAnswer(seconds) } else { ClientError::NoReply(seconds) })
+    Err(if interrupted { ClientError::Interrupted } else { ClientError::NoReply(seconds) })
 }
 
 /// The status of the daemon that runs on `state`.
-fn running_daemon(state: &StateFolder) -> Result<Status, ClientError> {
+pub(super) fn running_daemon(state: &StateFolder) -> Result<Status, ClientError> {
     let none = |last: Option<&Status>| ClientError::NoDaemon {
         state: state.root().to_owned(),
         start: start_line(state, last),

@@ -37,7 +37,7 @@ use crate::perception::Perception;
 use cell_calibration::files::set::CalibrationSet;
 use cell_edge::clock::{Clock, unix_now_s};
 use cell_edge::priority;
-use cell_edge::terminal::complain;
+use cell_edge::terminal::{complain, complain_within};
 use cell_machine::event::Arm;
 use cell_machine::supervisor::model::CellModel;
 use cell_values::time::Timestamp;
@@ -73,6 +73,8 @@ pub struct RunArgs {
 
 /// Runs the daemon until Ctrl-C or SIGTERM; returns the exit code.
 pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
+    cell_edge::log::log_panics();
+    cell_edge::reserve::fill();
     let read = start_with(&args.config, &args.state).and_then(|(config, shared)| {
         let calibration = read_calibration(&config)?;
         refuse_recorded_camera(&config)?;
@@ -143,8 +145,11 @@ fn refuse_recorded_camera(config: &CellConfig) -> Result<(), String> {
     Ok(())
 }
 
-/// Runs a future with Ctrl-C and SIGTERM raising `stop`; an error is one sentence and exit 1, or 130 when it
-/// was stopped.
+/// For a last complaint: a terminal that takes nothing keeps no process from ending.
+const COMPLAIN_WITHIN: std::time::Duration = std::time::Duration::from_secs(1);
+
+/// Runs a future with Ctrl-C, SIGTERM and SIGHUP raising `stop`; an error is one sentence and exit 1, or 130
+/// when it was stopped.
 pub(super) fn with_runtime<F>(stop: Arc<AtomicBool>, work: impl FnOnce(Arc<AtomicBool>) -> F) -> u8
 where
     F: Future<Output = Result<(), String>>,
@@ -167,7 +172,7 @@ where
     match runtime.block_on(work(stop.clone())) {
         Ok(()) => 0,
         Err(message) => {
-            complain(&message);
+            complain_within(&message, COMPLAIN_WITHIN);
             if stop.load(Ordering::Relaxed) { 130 } else { 1 }
         }
     }
@@ -186,17 +191,17 @@ fn watch_for_the_end(anew: Anew) {
     let _ = std::thread::Builder::new().name("signals".into()).spawn(watch);
 }
 
-/// Returns at Ctrl-C and at SIGTERM, which `kill` and service managers send.
+/// Returns at Ctrl-C, at SIGTERM, which `kill` and service managers send, and at SIGHUP, which a terminal
+/// sends when it is closed.
 async fn end_requested() {
-    let Ok(mut terminate) = signal(SignalKind::terminate()) else {
-        // Without the one signal the other still counts.
-        let _ = tokio::signal::ctrl_c().await;
-        return;
-    };
-    tokio::select! {
-        _ = tokio::signal::ctrl_c() => {}
-        _ = terminate.recv() => {}
+    let kinds = [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()];
+    // Without one of the signals the others still count.
+    let mut signals: Vec<_> = kinds.into_iter().filter_map(|kind| signal(kind).ok()).collect();
+    if signals.is_empty() {
+        return std::future::pending().await;
     }
+    let arrivals = signals.iter_mut().map(|signal| Box::pin(signal.recv()));
+    futures_util::future::select_all(arrivals).await;
 }
 
 /// The machine and its sockets, for the devices that the configuration names. `seed` differs from run to

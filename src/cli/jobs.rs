@@ -3,8 +3,10 @@
 //! In: arguments. Out: what came of it on stdout, exit code 0, 1 or 2. `submit`, `jobs` and `status` work
 //! with the daemon off; every other command is refused then, and never stored for a later daemon.
 
-use crate::cli::client::{ClientError, Format, StateArg, complain, request, start_line};
+use crate::cli::approve::{self, ApproveArgs};
+use crate::cli::client::{ClientError, Format, StateArg, complain, send, start_line};
 use crate::cli::history::{self, JobsArgs, ReportArgs, WhyArgs};
+use crate::cli::interrupt::watch_every;
 use crate::cli::open::{self, OpenArgs};
 use crate::cli::submit::{SubmitArgs, submit};
 use crate::cli::task::outln;
@@ -12,8 +14,10 @@ use crate::cli::watch::WatchArgs;
 use crate::jobs::command::{Command, ReleaseChannel};
 use crate::jobs::state::StateFolder;
 use crate::jobs::status::Status;
-use cell_machine::orders::{Reply, WayBack};
+use cell_machine::orders::WayBack;
 use clap::{Args, Subcommand, ValueEnum};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 /// Commands to the cell.
 #[derive(Subcommand, Debug)]
@@ -34,8 +38,8 @@ pub enum ClientCommand {
     Arm(StateArg),
     /// Forbid motion after the present step; a robot that is held or being started is stopped at once.
     Disarm(StateArg),
-    /// Agree to a job's plan.
-    Approve(JobArg),
+    /// Approve a job's plan. Without `--plan` celld shows the plan that waits and wants a yes.
+    Approve(ApproveArgs),
     /// Refuse a job's plan; the job ends as cancelled.
     Reject(JobArg),
     /// End a job, waiting or active.
@@ -146,17 +150,22 @@ pub enum ChannelArg {
 }
 
 /// Carries out a client command and returns the exit code.
-pub fn run(command: ClientCommand) -> u8 {
+pub fn run(command: ClientCommand, stop: &Arc<AtomicBool>) -> u8 {
     let reported = match command {
         ClientCommand::Submit(args) => return submit(&args),
         ClientCommand::Jobs(args) => return history::code(history::jobs(&args)),
         ClientCommand::Why(args) => return history::code(history::why(&args)),
         ClientCommand::Report(args) => return history::code(history::report(&args)),
         ClientCommand::Status { state, format } => status(&state.folder(), format),
-        ClientCommand::Open(args) => open::open(&args),
+        ClientCommand::Open(args) => {
+            watch_every(stop);
+            open::open(&args, stop)
+        }
+        ClientCommand::Approve(args) => approve::approve(&args, stop),
         other => {
             let (state, command) = to_send(other);
-            send(&state, &command)
+            watch_every(stop);
+            send(&state, &command, stop)
         }
     };
     match reported {
@@ -175,7 +184,6 @@ fn to_send(command: ClientCommand) -> (StateFolder, Command) {
         ClientCommand::Abort(state) => (state.folder(), Command::Abort),
         ClientCommand::Park(state) => (state.folder(), Command::Park),
         ClientCommand::ConfirmGripper(state) => (state.folder(), Command::ConfirmGripper),
-        ClientCommand::Approve(job) => (job.state.folder(), Command::Approve { id: job.id, plan: None }),
         ClientCommand::Reject(job) => (job.state.folder(), Command::Reject { id: job.id }),
         ClientCommand::Cancel(job) => (job.state.folder(), Command::Cancel { id: job.id }),
         ClientCommand::Release { state, channel, yes: _ } => {
@@ -192,14 +200,9 @@ fn to_send(command: ClientCommand) -> (StateFolder, Command) {
         | ClientCommand::Report(_)
         | ClientCommand::Watch(_)
         | ClientCommand::Open(_)
+        | ClientCommand::Approve(_)
         | ClientCommand::Status { .. } => unreachable!("these are not sent"),
     }
-}
-
-fn send(state: &StateFolder, command: &Command) -> Result<u8, ClientError> {
-    let Reply { accepted, message } = request(state, command)?;
-    outln!("{message}");
-    Ok(if accepted { 0 } else { 1 })
 }
 
 fn status(state: &StateFolder, format: Format) -> Result<u8, ClientError> {
@@ -230,8 +233,10 @@ fn status(state: &StateFolder, format: Format) -> Result<u8, ClientError> {
 mod tests {
     use super::*;
     use crate::jobs::command::Inbox;
-    use cell_edge::clock::boot_now_s;
+    use cell_machine::orders::Reply;
     use clap::Parser;
+
+    static NEVER: AtomicBool = AtomicBool::new(false);
 
     #[derive(Parser, Debug)]
     struct Line {
@@ -249,7 +254,6 @@ mod tests {
     fn words_become_commands() {
         assert_eq!(command("arm"), Command::Arm);
         assert_eq!(command("confirm-gripper"), Command::ConfirmGripper);
-        assert_eq!(command("approve tidy --state /s"), Command::Approve { id: "tidy".into(), plan: None });
         assert_eq!(
             command("release --yes --channel b"),
             Command::Release { channel: Some(ReleaseChannel::B) }
@@ -273,11 +277,11 @@ mod tests {
     fn without_a_daemon_nothing_is_stored_for_the_next_one() {
         let folder = tempfile::tempdir().unwrap();
         let state = StateFolder::new(folder.path());
-        assert!(matches!(send(&state, &Command::Arm), Err(ClientError::NoDaemon { .. })));
+        assert!(matches!(send(&state, &Command::Arm, &NEVER), Err(ClientError::NoDaemon { .. })));
         let lock = state.take(&Status::default()).unwrap();
         Status { daemon: "d1".into(), ..Status::default() }.write(&state.status()).unwrap();
         drop(lock);
-        assert!(matches!(send(&state, &Command::Arm), Err(ClientError::NoDaemon { .. })));
+        assert!(matches!(send(&state, &Command::Arm, &NEVER), Err(ClientError::NoDaemon { .. })));
         assert_eq!(std::fs::read_dir(state.commands()).unwrap().count(), 0);
     }
 
@@ -288,7 +292,7 @@ mod tests {
         let _lock = state.take(&Status::default()).unwrap();
         let waits = Status::starting("d1".into(), 0.0, 0.0, "waiting for the robot at 10.0.0.2".into());
         waits.write(&state.status()).unwrap();
-        let refused = send(&state, &Command::Arm).expect_err("no order is taken").to_string();
+        let refused = send(&state, &Command::Arm, &NEVER).expect_err("no order is taken").to_string();
         assert!(refused.contains("waiting for the robot at 10.0.0.2"), "{refused}");
         assert_eq!(std::fs::read_dir(state.commands()).unwrap().count(), 0, "and none is kept");
     }
@@ -302,17 +306,58 @@ mod tests {
         let mut inbox = Inbox::open(&state.commands(), "d1").unwrap();
         for accepted in [true, false] {
             let answer = std::thread::scope(|scope| {
-                let client = scope.spawn(|| send(&state, &Command::Arm));
+                let client = scope.spawn(|| send(&state, &Command::Arm, &NEVER));
                 let taken = loop {
-                    if let Some(taken) = inbox.take(boot_now_s).unwrap().pop() {
+                    if let Some(taken) = inbox.take(1).taken.pop() {
                         break taken;
                     }
                     std::thread::yield_now();
                 };
-                inbox.reply(&taken, &Reply { accepted, message: "heard".into() }).unwrap();
+                taken.answer(&Reply { accepted, message: "heard".into() }).unwrap();
                 client.join().unwrap()
             });
             assert_eq!(answer.unwrap(), u8::from(!accepted));
         }
+    }
+
+    fn running() -> (tempfile::TempDir, StateFolder, Inbox, cell_edge::file_lock::FileLock) {
+        let folder = tempfile::tempdir().unwrap();
+        let state = StateFolder::new(folder.path());
+        let lock = state.take(&Status::default()).unwrap();
+        Status { daemon: "d1".into(), ..Status::default() }.write(&state.status()).unwrap();
+        let inbox = Inbox::open(&state.commands(), "d1").unwrap();
+        (folder, state, inbox, lock)
+    }
+
+    #[test]
+    fn ctrl_c_takes_an_order_back_and_leaves_a_stop() {
+        let (_folder, state, mut inbox, _lock) = running();
+        let interrupted = AtomicBool::new(true);
+        assert!(matches!(send(&state, &Command::Arm, &interrupted), Err(ClientError::TakenBack)));
+        assert!(inbox.take(9).taken.is_empty());
+        assert!(matches!(send(&state, &Command::Abort, &interrupted), Err(ClientError::StopStands)));
+        assert_eq!(inbox.take(9).taken.pop().map(|taken| taken.command), Some(Command::Abort));
+    }
+
+    #[test]
+    fn after_ctrl_c_the_daemon_sees_that_nobody_waits_and_its_answer_is_still_shown() {
+        let (_folder, state, mut inbox, _lock) = running();
+        let interrupted = AtomicBool::new(false);
+        std::thread::scope(|scope| {
+            let client = scope.spawn(|| send(&state, &Command::Arm, &interrupted));
+            let taken = loop {
+                match inbox.take(1).taken.pop() {
+                    Some(taken) => break taken,
+                    None => std::thread::yield_now(),
+                }
+            };
+            assert!(taken.lock.is_held());
+            interrupted.store(true, std::sync::atomic::Ordering::Relaxed);
+            while taken.lock.is_held() {
+                std::thread::yield_now();
+            }
+            taken.answer(&Reply::refuse("nothing was done")).unwrap();
+            assert_eq!(client.join().unwrap().unwrap(), 1);
+        });
     }
 }

@@ -3,6 +3,7 @@
 //! In: arguments. Out: an exit code: 0 done, 1 understood and not succeeded, 2 bad input or usage, 130 after
 //! Ctrl-C without a result.
 
+mod approve;
 pub mod bench_cases;
 pub mod bench_figures;
 pub mod bench_loop;
@@ -125,7 +126,7 @@ enum Bench {
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     // A daemon's log is its only voice.
-    cell_edge::terminal::start_log(if matches!(cli.command, Command::Run(_)) { "info" } else { "error" });
+    let _log = cell_edge::log::start(if matches!(cli.command, Command::Run(_)) { "info" } else { "error" });
     let stop = Arc::new(AtomicBool::new(false));
     ExitCode::from(match cli.command {
         Command::Demo(args) => demo::run(&args, stop),
@@ -162,7 +163,7 @@ pub fn main() -> ExitCode {
         #[cfg(feature = "fleet")]
         Command::Fleet(command) => fleet::run(command, &stop),
         Command::Client(jobs::ClientCommand::Watch(args)) => watch::run(&args, &stop),
-        Command::Client(command) => jobs::run(command),
+        Command::Client(command) => jobs::run(command, &stop),
     })
 }
 

@@ -11,6 +11,7 @@ use crate::jobs::command::{Command, SignIn};
 use cell_machine::orders::Role;
 use clap::Args;
 use std::process::Stdio;
+use std::sync::atomic::AtomicBool;
 
 /// Days that a token lasts unless the command says otherwise.
 const TOKEN_DAYS: u32 = 90;
@@ -42,9 +43,9 @@ pub struct OpenArgs {
 }
 
 /// Runs the command; the exit code.
-pub(super) fn open(args: &OpenArgs) -> Result<u8, ClientError> {
+pub(super) fn open(args: &OpenArgs, stop: &AtomicBool) -> Result<u8, ClientError> {
     if let Some(name) = args.revoke.clone() {
-        let reply = request_at_start(&args.state.folder(), &Command::SignOut { name })?;
+        let reply = request_at_start(&args.state.folder(), &Command::SignOut { name }, stop)?;
         if reply.accepted {
             outln!("{}", reply.message);
         } else {
@@ -56,7 +57,7 @@ pub(super) fn open(args: &OpenArgs) -> Result<u8, ClientError> {
     // All users of this computer can read the arguments with which the browser is started.
     let own_browser = !args.token && !args.print && has_a_desktop();
     let wanted = SignIn { role: args.role, name: args.name.clone(), token_days, own_browser };
-    let reply = request_at_start(&args.state.folder(), &Command::SignIn(wanted))?;
+    let reply = request_at_start(&args.state.folder(), &Command::SignIn(wanted), stop)?;
     if !reply.accepted {
         cell_edge::terminal::complain(&reply.message);
         return Ok(1);

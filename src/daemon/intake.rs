@@ -1,24 +1,25 @@
 //! The intake of orders: for each source a thread that takes them in and hands the answers back.
 //!
-//! In: sources of operators' orders (the state folder, the page). Out: [`Event`]s for the machine, in which
-//! an order's number names its source as well; the machine's answers, each to where its order came from. A
-//! source that waits for a disk keeps no order of another one waiting. An order may thus be overtaken: one
-//! to do something that was given before a stop or a release and comes to light after it does not count.
+//! In: sources of operators' orders (the state folder, the page). Out: orders for the loop, in which an
+//! order's number names its source as well; the machine's answers, each to where its order came from. A
+//! source that waits keeps no order of another one waiting. Stops go before everything that came with them,
+//! and an order to do something that was given before a stop or a release does not count after it. What is
+//! decided here is in `cell_machine::intake`, which the closed loop calls too.
 
-use crate::daemon::messages::Message;
+use crate::daemon::messages::{Given, Message};
 use crate::daemon::watchdog::Beat;
-use cell_edge::clock::{Clock, boot_now_s};
-use cell_machine::event::Event;
+use cell_edge::clock::boot_now_s;
+use cell_machine::intake::{LastStop, Unreachable, overtaken};
 use cell_machine::orders::{Order, Reply};
 use cell_values::time::Duration;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 use tokio::sync::mpsc;
 
-/// How often orders are taken in, in the cell's time.
-const EVERY: Duration = Duration::from_millis(50);
+/// How often orders are taken in, by the wall's clock: a stop waits for no more.
+const EVERY: Duration = Duration::from_millis(5);
 
 /// Number of a cancellation that came as a file: its answer is the job's end.
 pub const UNASKED: u64 = 0;
@@ -26,15 +27,13 @@ pub const UNASKED: u64 = 0;
 /// The lower bits of an order's number are its source's own, the upper ones name the source.
 const SOURCE_BITS: u32 = 32;
 
-/// An order that was given.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Given {
-    /// Of its source: from 1, without repetition.
-    pub number: u32,
-    /// What is ordered.
-    pub order: Order,
-    /// When it was given, s since the machine started. May come from outside: any number or none.
-    pub boot_s: f64,
+/// What a look at a source brought.
+#[derive(Default)]
+pub struct Batch {
+    /// Orders since the last look.
+    pub orders: Vec<Given>,
+    /// Why not every order could be taken.
+    pub fault: Option<Unreachable>,
 }
 
 /// Where operators' orders come from.
@@ -42,10 +41,10 @@ pub trait Orders: Send + 'static {
     /// The task of its thread, as the watchdog names it.
     fn task(&self) -> &'static str;
 
-    /// Orders since the last call.
-    fn take(&mut self) -> Vec<Given>;
+    /// Orders since the last call. Must not wait for a disk that stalls.
+    fn take(&mut self) -> Batch;
 
-    /// Answers the order of this number.
+    /// Answers the order of this number. Must not wait either.
     fn reply(&mut self, number: u32, reply: &Reply);
 }
 
@@ -73,32 +72,71 @@ impl Answers {
     }
 }
 
-/// When the last order was given that ends a person's leave to move, s since the machine started; of all
-/// sources.
+/// The last order that ended a person's leave to move; of all sources.
 #[derive(Default)]
-pub struct Stops(Mutex<Option<f64>>);
+pub struct Stops(Mutex<LastStop>);
 
 impl Stops {
-    /// Notes those of these orders that end leave, before any of them is sent on.
-    pub fn note(&self, given: &[Given], now_s: f64) {
-        let ends = given.iter().filter(|given| given.order.ends_leave());
-        // `min` gives `now_s` for a time that is no number.
-        let last = ends.map(|given| given.boot_s.min(now_s)).fold(f64::MIN, f64::max);
-        let mut noted = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if last > noted.unwrap_or(f64::MIN) {
-            *noted = Some(last);
-        }
+    fn last(&self) -> MutexGuard<'_, LastStop> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Sends an order on, unless it is one to do something that was given before one that ended leave; it is
-    /// decided and sent in one step, so that no stop comes between. `None`: it does not count.
-    fn pass<T>(&self, given: &Given, now_s: f64, send: impl FnOnce() -> T) -> Option<T> {
-        let last = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let older = last.is_some_and(|last| given.boot_s.min(now_s) < last);
-        if older && !given.order.only_takes_away() {
-            return None;
+    /// Notes those of these orders that end leave, before any of them is sent on.
+    pub fn note(&self, given: &[Given], now_s: f64) {
+        let mut last = self.last();
+        given.iter().for_each(|given| last.note(&given.order, given.boot_s, now_s));
+    }
+
+    /// Sends an order on, unless a stop has overtaken it; it is decided and sent in one step, so that no
+    /// stop comes between. `together`: a stop came in the same batch. `None`: it does not count.
+    fn pass<T>(&self, given: &Given, together: bool, now_s: f64, send: impl FnOnce() -> T) -> Option<T> {
+        let last = self.last();
+        let overtaken = match together {
+            true => last.overtakes_together(&given.order, given.boot_s, now_s),
+            false => last.overtakes(&given.order, given.boot_s, now_s),
+        };
+        (!overtaken).then(send)
+    }
+}
+
+/// When a source took orders in last, and what keeps it from that.
+#[derive(Clone)]
+pub struct Heard(Arc<Mutex<(Instant, Option<Unreachable>)>>);
+
+impl Heard {
+    /// Orders are taken in now.
+    pub fn new() -> Heard {
+        Heard(Arc::new(Mutex::new((Instant::now(), None))))
+    }
+
+    fn state(&self) -> MutexGuard<'_, (Instant, Option<Unreachable>)> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A look at the source is over.
+    fn looked(&self, fault: Option<Unreachable>) {
+        let mut state = self.state();
+        if fault.is_none() {
+            state.0 = Instant::now();
         }
-        Some(send())
+        state.1 = fault;
+    }
+
+    /// Counts from now on: celld itself was held up.
+    pub fn start_again(&self) {
+        self.state().0 = Instant::now();
+    }
+
+    /// For how long no orders could be taken in, and why; `task` names the thread.
+    pub fn silent(&self, task: &'static str) -> (Duration, Unreachable) {
+        let (last, fault) = &*self.state();
+        (last.elapsed(), fault.clone().unwrap_or_else(|| Unreachable::Silent(task.to_string())))
+    }
+}
+
+impl Default for Heard {
+    fn default() -> Heard {
+        Heard::new()
     }
 }
 
@@ -122,51 +160,54 @@ pub struct OrderChannels {
     /// To the machine.
     pub events: mpsc::Sender<Message>,
     /// To the thread of the journal: a cancellation of a job by its id; false when it has ended.
-    pub cancel: Box<dyn Fn(u64, String) -> bool + Send>,
+    pub cancel: Box<dyn Fn(u64, String, Given) -> bool + Send>,
     /// Answers, each with the number of its order.
     pub answers: Receiver<(u32, Reply)>,
     /// Shared by all sources.
     pub stops: Arc<Stops>,
+    /// Where the thread reports that orders reach it.
+    pub heard: Heard,
 }
 
 impl OrderChannels {
     /// Sends one on; what does not count is answered at once. False when the daemon is ending.
-    fn send(&self, index: usize, orders: &mut dyn Orders, given: Given) -> bool {
+    fn send(&self, index: usize, orders: &mut dyn Orders, together: bool, given: Given) -> bool {
         let number = (index as u64) << SOURCE_BITS | u64::from(given.number);
-        let sent = self.stops.pass(&given, boot_now_s(), || match &given.order {
-            Order::Cancel(id) => (self.cancel)(number, id.clone()),
-            order => self.events.blocking_send(Message::Event(Event::Order(number, order.clone()))).is_ok(),
+        let sent = self.stops.pass(&given, together, boot_now_s(), || match &given.order {
+            Order::Cancel(id) => (self.cancel)(number, id.clone(), given.clone()),
+            _ => self.events.blocking_send(Message::Order(number, given.clone())).is_ok(),
         });
         if sent.is_none() {
-            let why = "nothing was done: a stop or a release was ordered after this order was given; look at the \
-                       cell, then give it again";
-            orders.reply(given.number, &Reply::refuse(why));
+            orders.reply(given.number, &overtaken());
         }
         sent.unwrap_or(true)
     }
+
+    /// Everything that a look at the source brought; stops go first. False when the daemon is ending.
+    fn send_all(&self, index: usize, orders: &mut dyn Orders, mut taken: Vec<Given>) -> bool {
+        self.stops.note(&taken, boot_now_s());
+        let together = taken.iter().any(|given| given.order.ends_leave());
+        taken.sort_by_key(|given| !given.order.only_stops());
+        taken.into_iter().all(|given| self.send(index, orders, together, given))
+    }
 }
 
-/// The thread of the source `index`: takes orders until `ending`, and writes the answers that have come.
+/// The thread of the source `index`: takes orders until `ending`, and hands on the answers that have come.
 pub fn take_orders(
     mut orders: Box<dyn Orders>,
     index: usize,
-    clock: &Clock,
     channels: &OrderChannels,
     beat: &Beat,
     ending: &AtomicBool,
 ) {
     while !ending.load(Ordering::Relaxed) {
         beat.now();
-        let mut taken = orders.take();
-        channels.stops.note(&taken, boot_now_s());
-        // Of what comes together, what stops is decided last.
-        taken.sort_by_key(|given| given.order.only_stops());
-        for given in taken {
-            if !channels.send(index, &mut *orders, given) {
-                return beat.rests();
-            }
+        let Batch { orders: taken, fault } = orders.take();
+        if !channels.send_all(index, &mut *orders, taken) {
+            return beat.rests();
         }
-        let until = Instant::now() + clock.wall(EVERY);
+        channels.heard.looked(fault);
+        let until = Instant::now() + EVERY;
         loop {
             let left = until.saturating_duration_since(Instant::now());
             match channels.answers.recv_timeout(left) {
@@ -184,19 +225,22 @@ pub fn take_orders(
 mod tests {
     use super::*;
     use crate::daemon::watchdog::Beats;
-    use cell_machine::orders::WayBack;
     use std::sync::mpsc::SyncSender;
 
     /// Gives what comes through its channel; each look waits for it as one at a slow disk does.
     struct Source(Receiver<Vec<Given>>, SyncSender<(u32, Reply)>);
+
+    fn given(number: u32, order: Order, boot_s: f64) -> Given {
+        Given { number, order, boot_s, client_waits: Arc::new(|| true) }
+    }
 
     impl Orders for Source {
         fn task(&self) -> &'static str {
             "orders of a test"
         }
 
-        fn take(&mut self) -> Vec<Given> {
-            self.0.recv().unwrap_or_default()
+        fn take(&mut self) -> Batch {
+            Batch { orders: self.0.recv().unwrap_or_default(), fault: None }
         }
 
         fn reply(&mut self, number: u32, reply: &Reply) {
@@ -224,14 +268,15 @@ mod tests {
             let (from_source, seen) = std::sync::mpsc::sync_channel(64);
             let channels = OrderChannels {
                 events: sender.clone(),
-                cancel: Box::new(|_, _| true),
+                cancel: Box::new(|_, _, _| true),
                 answers,
                 stops: stops.clone(),
+                heard: Heard::new(),
             };
             let (ending, beat) = (ending.clone(), Beats::default().task("test", std::time::Duration::MAX));
             threads.push(std::thread::spawn(move || {
                 let source = Box::new(Source(taken, from_source));
-                take_orders(source, index, &Clock::new(1.0), &channels, &beat, &ending);
+                take_orders(source, index, &channels, &beat, &ending);
             }));
             give.push(to_source);
             answered.push(seen);
@@ -241,17 +286,14 @@ mod tests {
 
     impl Two {
         fn give(&self, source: usize, orders: &[(Order, f64)]) {
-            let given = (1..).zip(orders).map(|(number, (order, boot_s))| Given {
-                number,
-                order: order.clone(),
-                boot_s: *boot_s,
-            });
-            self.give[source].send(given.collect()).unwrap();
+            let orders =
+                (1..).zip(orders).map(|(number, (order, boot_s))| given(number, order.clone(), *boot_s));
+            self.give[source].send(orders.collect()).unwrap();
         }
 
         fn next(&mut self) -> (u64, Order) {
             match self.events.blocking_recv() {
-                Some(Message::Event(Event::Order(number, order))) => (number, order),
+                Some(Message::Order(number, given)) => (number, given.order),
                 _ => panic!("an order comes"),
             }
         }
@@ -284,61 +326,36 @@ mod tests {
     }
 
     #[test]
-    fn of_what_comes_together_the_stop_is_decided_last() {
+    fn of_orders_that_come_together_stops_go_first_and_only_later_ones_follow() {
         let mut two = two();
-        two.give(0, &[(Order::Abort, 10.0), (Order::Arm, 10.0), (Order::Park, 9.0), (Order::Disarm, 9.0)]);
+        let orders = [
+            (Order::Arm, 10.0),
+            (Order::Abort, 10.0),
+            (Order::Park, 9.0),
+            (Order::Disarm, 9.0),
+            (Order::Resume, 11.0),
+        ];
+        two.give(0, &orders);
         let order: Vec<Order> = (0..3).map(|_| two.next().1).collect();
-        assert_eq!(order, [Order::Arm, Order::Abort, Order::Disarm]);
+        assert_eq!(order, [Order::Abort, Order::Disarm, Order::Resume]);
         two.give(0, &[]);
-        let (number, reply) = two.answered[0].recv().unwrap();
-        assert!(
-            number == 3 && !reply.accepted,
-            "the way to the park pose is older than the abort: {reply:?}"
-        );
+        for number in [1, 3] {
+            let (answered, reply) = two.answered[0].recv().unwrap();
+            assert!(answered == number && !reply.accepted, "{answered}: {reply:?}");
+        }
         two.end();
     }
 
     #[test]
-    fn a_stop_from_the_future_or_from_no_time_keeps_no_later_order_away() {
-        let stops = Stops::default();
-        let given = |order, boot_s| Given { number: 1, order, boot_s };
-        let passes = |order, boot_s, now_s| stops.pass(&given(order, boot_s), now_s, || ()).is_some();
-        for odd in [f64::INFINITY, f64::NAN, 1e9] {
-            stops.note(&[given(Order::Abort, odd)], 50.0);
-            assert!(passes(Order::Abort, odd, 50.0));
-        }
-        assert!(!passes(Order::Arm, 49.9, 50.0));
-        assert!(passes(Order::Arm, 50.1, 50.2));
-        // An earlier stop that comes late takes nothing back.
-        stops.note(&[given(Order::Pause, 1.0)], 51.0);
-        assert!(!passes(Order::Step, 49.9, 51.0));
-    }
-
-    #[test]
-    fn after_a_release_nothing_older_is_done_and_what_takes_away_counts_always() {
-        let given = |order, boot_s| Given { number: 1, order, boot_s };
-        for ending in [
-            Order::Release(cell_machine::orders::Channels::Both),
-            Order::Recover(WayBack::Release),
-            Order::Disarm,
-        ] {
-            let stops = Stops::default();
-            stops.note(&[given(ending, 50.0), given(Order::Park, 60.0)], 61.0);
-            let passes = |order| stops.pass(&given(order, 49.0), 61.0, || ()).is_some();
-            let id = || "a".to_string();
-            let agreed = Order::Approve { id: id(), plan: Some(1) };
-            for order in [
-                Order::Arm,
-                agreed,
-                Order::Release(cell_machine::orders::Channels::A),
-                Order::Recover(WayBack::Place),
-            ] {
-                assert!(!passes(order.clone()), "{order:?}");
-            }
-            for order in [Order::Abort, Order::Pause, Order::Reject(id()), Order::Cancel(id())] {
-                assert!(passes(order.clone()), "{order:?}");
-            }
-        }
+    fn a_source_that_cannot_be_read_is_silent_from_its_last_success_on() {
+        let heard = Heard::new();
+        heard.looked(Some(Unreachable::FolderGone("commands".into())));
+        let since = heard.silent("orders").0;
+        heard.looked(Some(Unreachable::FolderGone("commands".into())));
+        assert!(heard.silent("orders").0 >= since, "a look that fails is no success");
+        assert_eq!(heard.silent("orders").1, Unreachable::FolderGone("commands".into()));
+        heard.looked(None);
+        assert_eq!(heard.silent("orders").1, Unreachable::Silent("orders".into()));
     }
 
     #[test]

@@ -5,6 +5,7 @@
 //! [`crate::daemon::store`] requests; what is committed is on disk when the call returns.
 
 mod drawn;
+mod file_watch;
 mod status_file;
 mod unfinished;
 
@@ -28,11 +29,13 @@ use cell_edge::clock::unix_now_s;
 use cell_machine::code::{Code, JobStatus};
 use cell_machine::orders::Reply;
 use cell_machine::supervisor::input::Record;
+use cell_machine::supervisor::mode::EndFault;
 use cell_machine::supervisor::model::{CutOff, HeldBefore};
 use cell_machine::supervisor::order::{JobOrder, JobReport};
 use cell_machine::supervisor::status::Status;
 use cell_machine::times::TimeSplit;
 use cell_values::time::{Duration, Timestamp};
+use file_watch::FileWatch;
 use rearrange::document::chain::chain;
 use rearrange::planning::plan::ActionKind;
 use std::collections::BTreeMap;
@@ -78,6 +81,7 @@ pub struct StateKeeper {
     identities: Identities,
     last_answers: LastAnswers,
     disk: Disk,
+    file_watch: FileWatch,
     /// When the history was brought within its limits last.
     pruned: Option<Timestamp>,
     /// The file that was refused last.
@@ -121,6 +125,7 @@ impl StateKeeper {
         )?;
         spool.reconcile_at_start(&mut journal)?;
         let (started_unix_s, disk) = (now, Disk::of(state.root()));
+        let state_journal = state.journal();
         let (held_before, plans_before) = (held_before(&journal)?, journal.highest_plan()?);
         Ok(StateKeeper {
             config,
@@ -141,6 +146,7 @@ impl StateKeeper {
             identities: Identities::default(),
             last_answers: LastAnswers::default(),
             disk,
+            file_watch: FileWatch::new(state_journal),
             pruned: None,
             publish: Box::new(|_| {}),
             refused: None,
@@ -417,7 +423,14 @@ fn in_words(split: &TimeSplit) -> BTreeMap<String, f64> {
 
 impl Keeper for StateKeeper {
     fn commit(&mut self, record: &Record) -> Result<(), String> {
-        self.write(record).map_err(|error| chain(&error))
+        let written = self.write(record).map_err(|error| chain(&error));
+        // A commit that reached a file without a name has failed.
+        self.file_watch.look(&mut self.journal).map_or(written, Err)
+    }
+
+    fn fault(&mut self) -> Option<EndFault> {
+        let idle = self.active.is_none();
+        self.file_watch.fault(&mut self.journal, idle).map(EndFault::Damaged)
     }
 
     fn look_after(&mut self, now: Timestamp) -> Vec<String> {
@@ -451,7 +464,7 @@ impl Keeper for StateKeeper {
     }
 
     fn claim(&mut self) -> Option<JobOrder> {
-        if self.active.is_some() || self.disk.low().is_some() {
+        if self.active.is_some() || self.disk.low().is_some() || self.file_watch.is_lost() {
             return None;
         }
         self.next_job().unwrap_or_else(|error| {

@@ -1,25 +1,46 @@
-//! When each device answered last, by the wall's clock.
+//! When each device answered last, and when the loop came round last, by the wall's clock.
 //!
-//! In: marks of the loop, for each answer of a device. Out: ages, for the status file. Apart from the
-//! supervisor's status, whose words change only when a device does.
+//! In: marks of the loop, for each answer of a device and each turn. Out: ages, for the status file. Apart
+//! from the supervisor's status, whose words change only when a device does, and which a loop that hangs
+//! does not change any more.
 
 use cell_machine::supervisor::status::Device;
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Instant;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 
 /// Shared between the loop, which marks, and the keeper, which reads.
 #[derive(Clone, Debug, Default)]
-pub struct LastAnswers(Arc<Mutex<[Option<Instant>; 3]>>);
+pub struct LastAnswers(Arc<Mutex<Marks>>);
+
+#[derive(Debug, Default)]
+struct Marks {
+    devices: [Option<Instant>; 3],
+    turn: Option<Instant>,
+}
 
 impl LastAnswers {
+    fn marks(&self) -> MutexGuard<'_, Marks> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The loop has come round now.
+    pub fn turned(&self) {
+        self.marks().turn = Some(Instant::now());
+    }
+
+    /// How long ago the loop came round; none before its first turn.
+    pub fn loop_age(&self) -> Duration {
+        self.marks().turn.map_or(Duration::ZERO, |at| at.elapsed())
+    }
+
     /// The device has answered now.
     pub fn now(&self, device: Device) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)[device as usize] = Some(Instant::now());
+        self.marks().devices[device as usize] = Some(Instant::now());
     }
 
     /// How long ago the device answered, s, to a tenth; `None`: not since the start.
     pub fn age_s(&self, device: Device) -> Option<f64> {
-        let answered = self.0.lock().unwrap_or_else(PoisonError::into_inner)[device as usize];
+        let answered = self.marks().devices[device as usize];
         answered.map(|at| (at.elapsed().as_secs_f64() * 10.0).round() / 10.0)
     }
 }

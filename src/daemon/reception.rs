@@ -13,7 +13,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 /// How often orders are looked for.
-const EVERY: Duration = Duration::from_millis(50);
+const EVERY: Duration = Duration::from_millis(5);
 
 /// See the module.
 pub struct Reception {
@@ -50,7 +50,7 @@ impl Reception {
 
 /// A stop is noted all the same: an older order that comes to light after the start does not count.
 fn refuse(source: &mut dyn Orders, stops: &Stops) {
-    let taken = source.take();
+    let taken = source.take().orders;
     stops.note(&taken, boot_now_s());
     for given in taken {
         let why = "celld is starting and takes no orders yet; `celld doctor` says what is missing";
@@ -61,7 +61,8 @@ fn refuse(source: &mut dyn Orders, stops: &Stops) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::intake::Given;
+    use crate::daemon::intake::Batch;
+    use crate::daemon::messages::Given;
     use cell_machine::orders::Order;
     use std::sync::mpsc::{Sender, channel};
 
@@ -73,8 +74,8 @@ mod tests {
             "orders of a test"
         }
 
-        fn take(&mut self) -> Vec<Given> {
-            self.0.take().into_iter().collect()
+        fn take(&mut self) -> Batch {
+            Batch { orders: self.0.take().into_iter().collect(), fault: None }
         }
 
         fn reply(&mut self, number: u32, reply: &Reply) {
@@ -85,11 +86,11 @@ mod tests {
     #[test]
     fn an_order_of_the_start_is_refused_and_the_source_is_given_back() {
         let (sender, answers) = channel();
-        let arm = Given { number: 7, order: Order::Arm, boot_s: 100.0 };
+        let arm = Given { number: 7, order: Order::Arm, boot_s: 100.0, client_waits: Arc::new(|| true) };
         let reception = Reception::open(Sources::of(vec![Box::new(One(Some(arm), sender))]));
         let (number, reply) = answers.recv().unwrap();
         assert!(number == 7 && !reply.accepted && reply.message.contains("starting"), "{reply:?}");
         let mut orders = reception.close().unwrap();
-        assert!(orders.orders[0].take().is_empty());
+        assert!(orders.orders[0].take().orders.is_empty());
     }
 }

@@ -7,74 +7,37 @@
 //! `celld demo` and `celld calibrate` are composed from the same calls: [`Shell::open`],
 //! [`Shell::identify`], [`Shell::commission`], [`Shell::round`], [`Shell::run`].
 
+mod pace;
+mod scene;
 mod start;
+
+pub use scene::{Observer, Scene};
 
 use crate::daemon::intake::Sources;
 use crate::daemon::last_answers::LastAnswers;
 use crate::daemon::messages::{Displayed, Message};
+use crate::daemon::shell::pace::{AtWork, LoopPace};
+use crate::daemon::shell::scene::NoObserver;
 use crate::daemon::sockets::{Addresses, Sockets};
 use crate::daemon::store::{Keeper, Store};
 use crate::daemon::watchdog::{Beat, Beats};
 use crate::daemon::workers::{PerceptionSetup, SeeRequest, busy, spawn_perception, spawn_plan};
-use cell_calibration::visit::{Samples, Stop};
 use cell_edge::clock::Clock;
 use cell_machine::device::robot_types::RobotState;
 use cell_machine::event::{Arm, Effect, Event, News};
+use cell_machine::intake::{HELD_UP_AFTER, Origin, Reach};
 use cell_machine::machine::{Machine, MachineParameters};
 use cell_machine::supervisor::cell::Supervisor;
-use cell_machine::supervisor::input::Notice;
 use cell_machine::supervisor::mode::EndFault;
 use cell_machine::supervisor::model::CellModel;
-use cell_machine::supervisor::order::{JobReport, RouteAction};
 use cell_machine::supervisor::round::{RoundFault, RoundOrder};
-use cell_machine::supervisor::status::{Device, Doing, Status};
+use cell_machine::supervisor::status::Device;
 use cell_values::time::Timestamp;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{SyncSender, TrySendError};
 use std::time::Duration;
 use tokio::sync::mpsc;
-
-/// What happens, for people and records.
-#[derive(Debug)]
-pub enum Scene<'a> {
-    /// The status changed.
-    Status(&'a Status),
-    /// A sentence.
-    Notice(&'a Notice),
-    /// From a worker.
-    Displayed(&'a Displayed),
-    /// A new route.
-    Route(&'a [RouteAction]),
-    /// The loop has come round.
-    Turn,
-    /// The machine between two turns.
-    Machine(&'a Machine),
-    /// The machine takes this in now.
-    Event(&'a Event),
-    /// It has decided this.
-    Effect(&'a Effect),
-    /// The robot's state, as often as it comes.
-    Robot(&'a RobotState),
-    /// Relative vacuum of the gripper's channels A and B, 0 to 1, as often as it comes.
-    Vacuum([f64; 2]),
-    /// A job ended.
-    Ended(&'a JobReport),
-}
-
-/// Is shown everything; must not block.
-pub trait Observer {
-    /// One thing at the cell's time `now`.
-    fn on(&mut self, now: Timestamp, scene: Scene);
-}
-
-impl Observer for Samples<'_> {
-    fn on(&mut self, _now: Timestamp, scene: Scene) {
-        if let Scene::Displayed(Displayed::Sample { pose, image, sample }) = scene {
-            self.add(&Stop { pose: *pose, image, sample });
-        }
-    }
-}
 
 /// Why the arm did not become known, or a round did not begin.
 #[derive(Debug, thiserror::Error)]
@@ -122,13 +85,6 @@ const SEES_WITHIN: std::time::Duration = std::time::Duration::from_secs(180);
 const PLANS_WITHIN: u32 = 4;
 const PLANS_BESIDE: std::time::Duration = std::time::Duration::from_secs(600);
 
-/// An observer that shows nothing.
-struct NoObserver;
-
-impl Observer for NoObserver {
-    fn on(&mut self, _now: Timestamp, _scene: Scene) {}
-}
-
 /// What the last turn brought that concerns the shell's caller.
 #[derive(Default)]
 struct Outcome {
@@ -157,21 +113,8 @@ pub struct Shell {
     last_answers: LastAnswers,
     /// When robot and gripper last answered, in the cell's time.
     answered: [Option<Timestamp>; 2],
-}
-
-/// What the cell works on, for the fields of the log.
-#[derive(Debug, Default)]
-struct AtWork {
-    job: Option<String>,
-    /// Of the plan, from 1.
-    step: Option<usize>,
-}
-
-impl AtWork {
-    fn of(status: &Status) -> AtWork {
-        let works = matches!(status.doing, Doing::Working(..));
-        AtWork { job: status.job.clone(), step: works.then_some(status.moves + 1) }
-    }
+    pace: LoopPace,
+    reach: Reach,
 }
 
 impl Shell {
@@ -203,6 +146,8 @@ impl Shell {
             beat,
             last_answers: LastAnswers::default(),
             answered: [None; 2],
+            pace: LoopPace::default(),
+            reach: Reach::default(),
         })
     }
 
@@ -255,6 +200,7 @@ impl Shell {
         // Poses to look from take a part of a second to compute: now, and not while the arm's program waits
         // for a sign of life.
         model.views();
+        self.pace = LoopPace::default();
         self.between_turns(Event::Commission { model: Box::new(model), arm });
     }
 
@@ -282,6 +228,7 @@ impl Shell {
         observer: &mut dyn Observer,
         stop: &dyn Fn() -> bool,
     ) -> Result<(), StartError> {
+        self.pace = LoopPace::default();
         self.between_turns(Event::Round(Box::new(order)));
         let mut stopped = false;
         let ended = loop {
@@ -290,7 +237,7 @@ impl Shell {
                 break ended;
             }
             if stop() && !std::mem::replace(&mut stopped, true) {
-                self.between_turns(Event::Order(0, cell_machine::orders::Order::Abort));
+                self.between_turns(Event::Order(0, cell_machine::orders::Order::Abort, Origin::OWN));
             }
         };
         let began = self.now();
@@ -315,6 +262,7 @@ impl Shell {
         shutdown: &dyn Fn(bool) -> bool,
     ) -> Result<(), EndFault> {
         let mut ending = false;
+        self.pace = LoopPace::default();
         let ended = loop {
             self.turn(observer).await;
             if let Some(ended) = self.outcome.end.take() {
@@ -357,6 +305,7 @@ impl Shell {
             () = tokio::time::sleep(self.clock.wall(wait)) => None,
         };
         let mut events = Vec::new();
+        events.extend(self.held_up());
         if let Some(message) = first {
             self.take(message, observer, &mut events);
         }
@@ -367,6 +316,8 @@ impl Shell {
         if let Some(fault) = self.store.as_mut().and_then(Store::fault) {
             events.push(Event::StoreLost(fault));
         }
+        let silent = self.store.as_ref().and_then(Store::silent);
+        events.extend(self.reach.judge(silent).map(Event::OrdersReach));
         // The clock is read after the sockets: what lay in them is older than now.
         let now = self.clock.now();
         for event in events.into_iter().chain([Event::Time]) {
@@ -386,7 +337,19 @@ impl Shell {
         observer.on(now, Scene::Machine(&self.machine));
         observer.on(now, Scene::Turn);
         self.mark_answers();
+        self.last_answers.turned();
         self.beat.rests();
+    }
+
+    /// The loop has not come round for too long; what counts silence starts again then.
+    fn held_up(&mut self) -> Option<Event> {
+        let gap = self.pace.gap(self.clock.now());
+        if gap <= HELD_UP_AFTER {
+            return None;
+        }
+        self.beats.start_again(std::time::Instant::now());
+        self.store.iter().for_each(Store::start_again);
+        Some(Event::HeldUp(gap))
     }
 
     fn hand_over(&mut self, now: Timestamp, event: Event, observer: &mut dyn Observer) {
@@ -404,6 +367,10 @@ impl Shell {
     fn take(&mut self, message: Message, observer: &mut dyn Observer, events: &mut Vec<Event>) {
         match message {
             Message::Event(event) => events.push(event),
+            Message::Order(number, given) => {
+                let origin = given.origin();
+                events.push(Event::Order(number, given.order, origin));
+            }
             Message::Made(made) => events.extend(self.sockets.made(made)),
             Message::Displayed(displayed) => {
                 if matches!(displayed, Displayed::Picture { .. } | Displayed::Sample { .. }) {

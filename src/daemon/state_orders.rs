@@ -1,19 +1,25 @@
 //! Operators' commands in the state folder as the machine's orders, and the answers back.
 //!
 //! In: command files of the daemon's own name, answers. Out: numbered orders, each once; answers in the log
-//! with the user who ordered. What a person has confirmed is remembered before it is answered. Who wants to
-//! be signed in at the page is answered at once: that is no order to the machine.
+//! with the user who ordered. Answers are written on a thread of their own, so a slow disk keeps no order
+//! waiting; that thread also remembers a confirmed gripper before it answers, and signs people in at the
+//! page, which is no order to the machine.
 
 use crate::daemon::gripper_memory::GripperMemory;
-use crate::daemon::intake::{Given, Orders};
+use crate::daemon::intake::{Batch, Orders};
 use crate::daemon::keeper::KeeperError;
-use crate::jobs::command::{Command, Inbox, SignIn, Taken};
+use crate::daemon::messages::Given;
+use crate::jobs::command::{Command, Inbox, Refused, SignIn, Taken};
 use crate::jobs::state::StateFolder;
 use cell_edge::clock::boot_now_s;
+use cell_machine::intake::{Origin, stale};
 use cell_machine::orders::Reply;
 use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::JoinHandle;
 
-/// Most orders whose answers are still to come; older ones are forgotten.
+/// Commands other than stops wait in the folder while so many are not answered.
 const UNANSWERED_MAX: usize = 64;
 
 /// Who signs people in at the page.
@@ -28,10 +34,11 @@ pub trait SignInHandler: Send {
 /// Operators' commands in the state folder.
 pub struct StateOrders {
     inbox: Inbox,
-    memory: GripperMemory,
     last: u32,
     unanswered: VecDeque<(u32, Taken)>,
-    sign_ins: Option<Box<dyn SignInHandler>>,
+    clerk: Option<Clerk>,
+    letters: Option<Sender<Letter>>,
+    writes: Option<JoinHandle<()>>,
 }
 
 impl StateOrders {
@@ -46,41 +53,28 @@ impl StateOrders {
         memory: GripperMemory,
     ) -> Result<StateOrders, KeeperError> {
         let inbox = Inbox::open(&state.commands(), daemon)?;
-        Ok(StateOrders { inbox, memory, last: 0, unanswered: VecDeque::new(), sign_ins: None })
+        let clerk = Some(Clerk { memory, sign_ins: None });
+        Ok(StateOrders { inbox, last: 0, unanswered: VecDeque::new(), clerk, letters: None, writes: None })
     }
 
-    /// With a page at which people can be signed in.
-    pub fn with_sign_ins(self, sign_ins: Option<Box<dyn SignInHandler>>) -> StateOrders {
-        StateOrders { sign_ins, ..self }
+    /// With a page at which people can be signed in; before the first order is taken.
+    pub fn with_sign_ins(mut self, sign_ins: Option<Box<dyn SignInHandler>>) -> StateOrders {
+        if let Some(clerk) = &mut self.clerk {
+            clerk.sign_ins = sign_ins;
+        }
+        self
     }
 
-    /// Answers who wants to sign in or out, if that is what is wanted; the answer may be a secret and is not
-    /// logged.
-    fn answer_sign_in(&self, taken: &Taken) -> bool {
-        let uid = taken.uid;
-        let reply = match (&self.sign_ins, &taken.command) {
-            (None, Command::SignIn(_) | Command::SignOut { .. }) => {
-                Reply::refuse("this celld serves no page: its configuration has no `page:`")
-            }
-            (Some(sign_ins), Command::SignIn(wanted)) => {
-                let (reply, role) = (sign_ins.sign_in(wanted, uid), wanted.role);
-                tracing::info!(accepted = reply.accepted, uid, %role, "sign-in at the page requested");
-                reply
-            }
-            (Some(sign_ins), Command::SignOut { name }) => {
-                let reply = sign_ins.sign_out(name);
-                tracing::info!(accepted = reply.accepted, uid, name, "sign-out at the page requested");
-                reply
-            }
-            _ => return false,
-        };
-        self.answered(taken, &reply);
-        true
-    }
-
-    fn answered(&self, taken: &Taken, reply: &Reply) {
-        if let Err(error) = self.inbox.reply(taken, reply) {
-            tracing::warn!(%error, "a command could not be answered");
+    /// To the thread that writes; it is started with the first letter.
+    fn write(&mut self, letter: Letter) {
+        if let Some(clerk) = self.clerk.take() {
+            let (sender, letters) = channel();
+            self.letters = Some(sender);
+            self.writes = Some(std::thread::spawn(move || clerk.run(&letters)));
+        }
+        if let Some(letters) = &self.letters {
+            // Its end would be a defect; what it had to write is lost with it.
+            let _ = letters.send(letter);
         }
     }
 }
@@ -90,25 +84,22 @@ impl Orders for StateOrders {
         "the intake of orders"
     }
 
-    fn take(&mut self) -> Vec<Given> {
-        let taken = self.inbox.take(boot_now_s).unwrap_or_else(|error| {
-            tracing::error!(%error, "command folder");
-            Vec::new()
-        });
-        let mut orders = Vec::with_capacity(taken.len());
-        for taken in taken {
-            if self.answer_sign_in(&taken) {
+    fn take(&mut self) -> Batch {
+        let mail = self.inbox.take(UNANSWERED_MAX.saturating_sub(self.unanswered.len()));
+        mail.refused.into_iter().for_each(|refused| self.write(Letter::Refused(refused)));
+        let mut orders = Vec::with_capacity(mail.taken.len());
+        for taken in mail.taken {
+            let Some(order) = taken.command.order() else {
+                self.write(Letter::SignIn(taken));
                 continue;
-            }
-            let Some(order) = taken.command.order() else { continue };
+            };
             self.last += 1;
-            orders.push(Given { number: self.last, order, boot_s: taken.boot_s });
+            let lock = taken.lock.clone();
+            let client_waits = Arc::new(move || lock.is_held());
+            orders.push(Given { number: self.last, order, boot_s: taken.boot_s, client_waits });
             self.unanswered.push_back((self.last, taken));
-            if self.unanswered.len() > UNANSWERED_MAX {
-                self.unanswered.pop_front();
-            }
         }
-        orders
+        Batch { orders, fault: mail.fault }
     }
 
     fn reply(&mut self, number: u32, reply: &Reply) {
@@ -120,10 +111,71 @@ impl Orders for StateOrders {
         } else {
             tracing::warn!(?command, uid, "order refused: {}", reply.message);
         }
-        let order = taken.command.order();
-        let reply = order.map_or_else(|| reply.clone(), |order| self.memory.remember(&order, reply));
-        if let Err(error) = self.inbox.reply(&taken, &reply) {
-            tracing::warn!(%error, "a command could not be answered");
+        self.write(Letter::Answer(taken, reply.clone()));
+    }
+}
+
+impl Drop for StateOrders {
+    /// Every answer is written before the daemon ends.
+    fn drop(&mut self) {
+        self.letters = None;
+        if let Some(writes) = self.writes.take() {
+            let _ = writes.join();
+        }
+    }
+}
+
+/// Something to write.
+enum Letter {
+    Answer(Taken, Reply),
+    Refused(Refused),
+    SignIn(Taken),
+}
+
+/// What the thread that writes works with.
+struct Clerk {
+    memory: GripperMemory,
+    sign_ins: Option<Box<dyn SignInHandler>>,
+}
+
+impl Clerk {
+    fn run(self, letters: &Receiver<Letter>) {
+        for letter in letters {
+            let written = match letter {
+                Letter::Refused(refused) => refused.answer(),
+                Letter::SignIn(taken) => taken.answer(&self.sign_in(&taken)),
+                Letter::Answer(taken, reply) => {
+                    let order = taken.command.order();
+                    let reply =
+                        order.map_or_else(|| reply.clone(), |order| self.memory.remember(&order, &reply));
+                    taken.answer(&reply)
+                }
+            };
+            if let Err(error) = written {
+                tracing::warn!(%error, "a command could not be answered");
+            }
+        }
+    }
+
+    /// The answer to a request to sign in or out; it may be a secret and is not logged.
+    fn sign_in(&self, taken: &Taken) -> Reply {
+        let uid = taken.uid;
+        let origin = Origin { age_s: boot_now_s() - taken.boot_s, client_waits: taken.lock.is_held() };
+        if let Some(reply) = stale(origin) {
+            return reply;
+        }
+        match (&self.sign_ins, &taken.command) {
+            (Some(sign_ins), Command::SignIn(wanted)) => {
+                let (reply, role) = (sign_ins.sign_in(wanted, Some(uid)), wanted.role);
+                tracing::info!(accepted = reply.accepted, uid, %role, "sign-in at the page requested");
+                reply
+            }
+            (Some(sign_ins), Command::SignOut { name }) => {
+                let reply = sign_ins.sign_out(name);
+                tracing::info!(accepted = reply.accepted, uid, name, "sign-out at the page requested");
+                reply
+            }
+            _ => Reply::refuse("this celld serves no page: its configuration has no `page:`"),
         }
     }
 }

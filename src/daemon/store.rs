@@ -6,11 +6,12 @@
 //! half a second on a busy disk; the robot stops when no message reaches it for a fraction of that, and a
 //! person who aborts does not wait for a disk.
 
-use crate::daemon::intake::{Answers, OrderChannels, Sources, UNASKED, take_orders};
-use crate::daemon::messages::Message;
+use crate::daemon::intake::{Answers, Heard, OrderChannels, Sources, UNASKED, take_orders};
+use crate::daemon::messages::{Given, Message};
 use crate::daemon::watchdog::{Beat, Beats};
 use cell_edge::clock::Clock;
 use cell_machine::event::Event;
+use cell_machine::intake::{Origin, Unreachable, refusal};
 use cell_machine::orders::{Order, Reply};
 use cell_machine::supervisor::input::Record;
 use cell_machine::supervisor::mode::EndFault;
@@ -40,6 +41,11 @@ pub trait Keeper: Send + 'static {
         false
     }
 
+    /// Why nothing that is written counts any more, once that is so.
+    fn fault(&mut self) -> Option<EndFault> {
+        None
+    }
+
     /// Claims the next job, if one is ready.
     fn claim(&mut self) -> Option<JobOrder>;
 
@@ -63,7 +69,7 @@ const SILENT_AFTER: std::time::Duration = std::time::Duration::from_secs(15);
 enum Request {
     Commit(u64, Record),
     Want,
-    Cancel(u64, String),
+    Cancel(u64, String, Given),
     Status(Box<Status>),
 }
 
@@ -72,6 +78,7 @@ pub struct Store {
     requests: Option<Sender<Request>>,
     replies: Answers,
     threads: Vec<(Arc<Beat>, JoinHandle<()>)>,
+    heard: Vec<(&'static str, Heard)>,
     ending: Arc<AtomicBool>,
     lost: bool,
 }
@@ -89,20 +96,23 @@ impl Store {
         let (requests, requested) = channel();
         let (replies, answers) = Answers::of(sources.len());
         let ending = Arc::new(AtomicBool::new(false));
-        let mut threads = Vec::new();
+        let (mut threads, mut heard) = (Vec::new(), Vec::new());
         for (index, (orders, answers)) in sources.into_iter().zip(answers).enumerate() {
             let beat = Arc::new(beats.task(orders.task(), SILENT_AFTER));
             let (events, cancels, stops) = (events.clone(), requests.clone(), stops.clone());
-            let cancel = move |number, id| cancels.send(Request::Cancel(number, id)).is_ok();
-            let channels = OrderChannels { events, cancel: Box::new(cancel), answers, stops };
-            let (taking, clock, ending) = (beat.clone(), clock.clone(), ending.clone());
-            let take = move || take_orders(orders, index, &clock, &channels, &taking, &ending);
+            let cancel = move |number, id, given| cancels.send(Request::Cancel(number, id, given)).is_ok();
+            let reported = Heard::new();
+            heard.push((orders.task(), reported.clone()));
+            let channels =
+                OrderChannels { events, cancel: Box::new(cancel), answers, stops, heard: reported };
+            let (taking, ending) = (beat.clone(), ending.clone());
+            let take = move || take_orders(orders, index, &channels, &taking, &ending);
             threads.push((beat, std::thread::spawn(take)));
         }
         let beat = Arc::new(beats.task("the journal", SILENT_AFTER));
         let keeping = Keeping { keeper, clock, events, answers: replies.clone(), beat: beat.clone() };
         threads.push((beat, std::thread::spawn(move || keeping.run(&requested))));
-        Store { requests: Some(requests), replies, threads, ending, lost: false }
+        Store { requests: Some(requests), replies, threads, heard, ending, lost: false }
     }
 
     /// Has a record written; answered by [`Event::Committed`].
@@ -123,6 +133,18 @@ impl Store {
     /// Answers an order.
     pub fn reply(&self, number: u64, reply: Reply) {
         self.replies.send(number, reply);
+    }
+
+    /// For how long no orders could be taken in from the source that is worst off, and why.
+    pub fn silent(&self) -> Option<(std::time::Duration, Unreachable)> {
+        let silent = self.heard.iter().map(|(task, heard)| heard.silent(task));
+        silent.max_by_key(|(since, _)| *since)
+    }
+
+    /// Counts from now on for how long threads have been silent: celld itself was held up.
+    pub fn start_again(&self) {
+        self.heard.iter().for_each(|(_, heard)| heard.start_again());
+        self.threads.iter().for_each(|(beat, _)| beat.start_again());
     }
 
     /// Once: a thread that is stuck or has panicked.
@@ -183,10 +205,11 @@ impl Keeping {
             match requested.recv_timeout(patience) {
                 Ok(Request::Commit(number, record)) => {
                     let result = self.keeper.commit(&record);
+                    self.report_fault();
                     self.send_event(Event::Committed(number, result));
                 }
                 Ok(Request::Want) => wanted = true,
-                Ok(Request::Cancel(number, id)) => self.cancel(number, id),
+                Ok(Request::Cancel(number, id, given)) => self.cancel(number, id, given),
                 Ok(Request::Status(new)) => status = Some(new),
                 Err(RecvTimeoutError::Timeout) => {
                     if status.is_some() || published.elapsed() >= STATUS_EVERY {
@@ -203,8 +226,9 @@ impl Keeping {
             }
             if looked.elapsed() >= every || wanted || more {
                 looked = Instant::now();
+                self.report_fault();
                 for id in self.keeper.look_after(self.clock.now()) {
-                    self.send_event(Event::Order(UNASKED, Order::Cancel(id)));
+                    self.send_event(Event::Order(UNASKED, Order::Cancel(id), Origin::OWN));
                 }
                 if let Some(job) = wanted.then(|| self.keeper.claim()).flatten() {
                     wanted = false;
@@ -214,11 +238,19 @@ impl Keeping {
         }
     }
 
+    /// The journal's file is gone or damaged: before what follows from that.
+    fn report_fault(&mut self) {
+        if let Some(fault) = self.keeper.fault() {
+            self.send_event(Event::StoreLost(fault));
+        }
+    }
+
     /// A job that waits is ended here; of the active one the machine decides.
-    fn cancel(&mut self, number: u64, id: String) {
-        match self.keeper.cancel_waiting(&id) {
+    fn cancel(&mut self, number: u64, id: String, given: Given) {
+        let refused = refusal(&given.order, given.origin());
+        match refused.or_else(|| self.keeper.cancel_waiting(&id)) {
             Some(reply) => self.answers.send(number, reply),
-            None => self.send_event(Event::Order(number, Order::Cancel(id))),
+            None => _ = self.events.blocking_send(Message::Order(number, given)),
         }
     }
 
@@ -231,7 +263,8 @@ impl Keeping {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::intake::{Given, Orders};
+    use crate::daemon::intake::{Batch, Orders};
+    use cell_edge::clock::boot_now_s;
     use std::sync::Mutex;
 
     /// Writes into a list; its first record waits for a sign, and `taken` shows that it does.
@@ -280,12 +313,18 @@ mod tests {
             "orders of a test"
         }
 
-        fn take(&mut self) -> Vec<Given> {
+        fn take(&mut self) -> Batch {
             if !self.taken.load(Ordering::Relaxed) || std::mem::replace(&mut self.given, true) {
-                return Vec::new();
+                return Batch::default();
             }
             let orders = [Order::Cancel("waits".into()), Order::Cancel("active".into()), Order::Abort];
-            (1..).zip(orders).map(|(number, order)| Given { number, order, boot_s: 100.0 }).collect()
+            let given = |(number, order)| Given {
+                number,
+                order,
+                boot_s: boot_now_s(),
+                client_waits: Arc::new(|| true),
+            };
+            Batch { orders: (1..).zip(orders).map(given).collect(), fault: None }
         }
 
         fn reply(&mut self, number: u32, reply: &Reply) {
@@ -318,7 +357,7 @@ mod tests {
         for job in ["one", "two", "three"] {
             store.status(Box::new(status(job)));
         }
-        let Some(Message::Event(Event::Order(3, Order::Abort))) = events.blocking_recv() else {
+        let Some(Message::Order(3, Given { order: Order::Abort, .. })) = events.blocking_recv() else {
             panic!("the abort comes")
         };
         assert!(lines.lock().unwrap().is_empty(), "nothing is written yet");
@@ -327,7 +366,7 @@ mod tests {
             panic!("then the record")
         };
         assert_eq!(why, "full");
-        let Some(Message::Event(Event::Order(2, Order::Cancel(id)))) = events.blocking_recv() else {
+        let Some(Message::Order(2, Given { order: Order::Cancel(id), .. })) = events.blocking_recv() else {
             panic!("not waiting")
         };
         assert_eq!(id, "active");

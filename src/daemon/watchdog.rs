@@ -6,8 +6,9 @@
 //! loop hangs still has a process, a lock and threads that get on: only all tasks together may keep the
 //! service manager from starting it anew.
 
+use cell_machine::intake::HELD_UP_AFTER;
 use sd_notify::NotifyState;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -34,6 +35,12 @@ struct Slot {
 }
 
 impl Slot {
+    fn start_again(&self, now: Instant) {
+        if let State::Works { since, .. } = &mut *self.state() {
+            *since = now;
+        }
+    }
+
     fn state(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -54,6 +61,11 @@ impl Beat {
 
     fn at(&self, now: Instant) {
         *self.slot.state() = State::Works { since: now, within: self.within };
+    }
+
+    /// Counts from now on, if the task works: celld itself was held up.
+    pub fn start_again(&self) {
+        self.slot.start_again(Instant::now());
     }
 
     /// The task has nothing to do.
@@ -120,6 +132,11 @@ impl Beats {
         slots.iter().filter_map(|slot| late(slot, now)).collect()
     }
 
+    /// Counts from now on for every task: celld itself was held up.
+    pub fn start_again(&self, now: Instant) {
+        self.slots().iter().for_each(|slot| slot.start_again(now));
+    }
+
     fn slots(&self) -> MutexGuard<'_, Vec<Arc<Slot>>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -128,50 +145,79 @@ impl Beats {
 /// The thread that looks at the beats and sends to the service manager; it ends when this is dropped.
 #[derive(Debug)]
 pub struct Watchdog {
+    shared: Shared,
+    thread: std::thread::Thread,
+}
+
+/// What the daemon and the thread share.
+#[derive(Debug)]
+struct Shared {
     words: Arc<Mutex<String>>,
+    stage: Arc<AtomicU8>,
     ends: Arc<AtomicBool>,
 }
+
+/// How far the daemon is: nothing to report, ready for jobs, ending.
+const READY: u8 = 1;
+const STOPPING: u8 = 2;
 
 impl Watchdog {
     /// Starts it. Without a service manager, tasks that do not answer are logged all the same.
     pub fn start(beats: Beats) -> Watchdog {
-        let watchdog = Watchdog { words: Arc::default(), ends: Arc::default() };
-        let (words, ends) = (Arc::clone(&watchdog.words), Arc::clone(&watchdog.ends));
+        let (words, stage, ends) = (Arc::default(), Arc::default(), Arc::default());
         let wanted = sd_notify::watchdog_enabled();
         let every = wanted.map_or(EVERY, |within| EVERY.min(within / 3));
-        std::thread::spawn(move || {
-            let mut feeder = Feeder { feeds: wanted.is_some(), ..Feeder::default() };
-            while !ends.load(Ordering::Relaxed) {
-                let words = words.lock().unwrap_or_else(PoisonError::into_inner).clone();
-                feeder.turn(&beats.late(Instant::now()), &words).iter().for_each(Outcome::carry_out);
-                std::thread::sleep(every);
-            }
-        });
-        watchdog
+        let shared = Shared { words: Arc::clone(&words), stage: Arc::clone(&stage), ends: Arc::clone(&ends) };
+        let feeder = Feeder { feeds: wanted.is_some(), ..Feeder::default() };
+        let thread = std::thread::spawn(move || watch(&beats, &shared, feeder, every)).thread().clone();
+        Watchdog { shared: Shared { words, stage, ends }, thread }
     }
 
     /// Jobs are taken in from now on, and orders as soon as the robot is there.
     pub fn ready(&self) {
-        send(NotifyState::Ready);
-    }
-
-    /// What the cell does, in one line.
-    pub fn words(&self, words: &str) {
-        let mut kept = self.words.lock().unwrap_or_else(PoisonError::into_inner);
-        if *kept != words {
-            words.clone_into(&mut kept);
-        }
+        self.reach(READY);
     }
 
     /// The daemon ends.
     pub fn stopping(&self) {
-        send(NotifyState::Stopping);
+        self.reach(STOPPING);
+    }
+
+    fn reach(&self, stage: u8) {
+        self.shared.stage.store(stage, Ordering::Relaxed);
+        self.thread.unpark();
+    }
+
+    /// What the cell does, in one line.
+    pub fn words(&self, words: &str) {
+        let mut kept = self.shared.words.lock().unwrap_or_else(PoisonError::into_inner);
+        if *kept != words {
+            words.clone_into(&mut kept);
+        }
     }
 }
 
 impl Drop for Watchdog {
     fn drop(&mut self) {
-        self.ends.store(true, Ordering::Relaxed);
+        self.shared.ends.store(true, Ordering::Relaxed);
+    }
+}
+
+/// The thread: it alone sends to the service manager, whose socket may take nothing for a while.
+fn watch(beats: &Beats, shared: &Shared, mut feeder: Feeder, every: Duration) {
+    while !shared.ends.load(Ordering::Relaxed) {
+        let words = shared.words.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        feeder.turn(&beats.late(Instant::now()), &words).iter().for_each(Outcome::carry_out);
+        feeder.reached(shared.stage.load(Ordering::Relaxed)).into_iter().for_each(send);
+        if let Some(lost) = feeder.lost(cell_edge::log::lost_lines()) {
+            tracing::warn!(lost, "lines of the log were lost: the terminal or the journal took none");
+        }
+        let rested = Instant::now();
+        std::thread::park_timeout(every);
+        if rested.elapsed() > every + HELD_UP_AFTER {
+            // A thread that only waits comes late when all of celld was held up.
+            beats.start_again(Instant::now());
+        }
     }
 }
 
@@ -214,9 +260,28 @@ struct Feeder {
     feeds: bool,
     late: Vec<&'static str>,
     words: String,
+    stage: u8,
+    lost_lines: usize,
 }
 
 impl Feeder {
+    /// What the service manager gets of a new stage, each once.
+    fn reached(&mut self, stage: u8) -> Vec<NotifyState<'static>> {
+        let before = std::mem::replace(&mut self.stage, stage);
+        let states = [(READY, NotifyState::Ready), (STOPPING, NotifyState::Stopping)];
+        states
+            .into_iter()
+            .filter(|(at, _)| (before + 1..=stage).contains(at))
+            .map(|(_, state)| state)
+            .collect()
+    }
+
+    /// Lines that were lost since the last look, if any.
+    fn lost(&mut self, lost: usize) -> Option<usize> {
+        let new = lost - std::mem::replace(&mut self.lost_lines, lost);
+        (new > 0).then_some(new)
+    }
+
     fn turn(&mut self, late: &[Late], words: &str) -> Vec<Outcome> {
         let mut said = Vec::new();
         let now: Vec<&'static str> = late.iter().map(|late| late.task).collect();
@@ -281,5 +346,25 @@ mod tests {
         assert_eq!(feeder.turn(&[], "idle"), [Outcome::Answers("the loop"), Outcome::Feed]);
         let mut alone = Feeder::default();
         assert_eq!(alone.turn(&[], ""), [], "no service manager waits for signs of life");
+    }
+
+    #[test]
+    fn each_stage_and_each_loss_of_lines_is_reported_once() {
+        let mut feeder = Feeder::default();
+        assert_eq!((feeder.reached(0).len(), feeder.lost(0)), (0, None));
+        let reached = feeder.reached(STOPPING);
+        assert!(matches!(reached[..], [NotifyState::Ready, NotifyState::Stopping]), "none is left out");
+        assert_eq!((feeder.reached(STOPPING).len(), feeder.lost(7), feeder.lost(7)), (0, Some(7), None));
+        assert_eq!(feeder.lost(9), Some(2));
+    }
+
+    #[test]
+    fn after_a_pause_of_celld_no_task_is_late() {
+        let (beats, start) = (Beats::default(), Instant::now());
+        let task = beats.task("journal", 3 * SECOND);
+        task.at(start);
+        beats.start_again(start + 20 * SECOND);
+        assert_eq!(beats.late(start + 22 * SECOND), []);
+        assert_eq!(beats.late(start + 24 * SECOND).len(), 1);
     }
 }

@@ -18,7 +18,7 @@ use crate::jobs::state::StateFolder;
 use crate::jobs::status::{Remarks, Status};
 use crate::jobs::submit::{Handed, hand_in, prepare, stem};
 use crate::page::feed::{Feed, Sight};
-use crate::page::orders::OrderSender;
+use crate::page::orders::{OrderSender, OrderedBy};
 use cell_edge::clock::unix_now_s;
 use cell_fleet::files::FileKind;
 use cell_fleet::fragments::Wanted;
@@ -203,7 +203,7 @@ fn waiting_file(state: &StateFolder, job: &Job) -> Option<String> {
 /// The order that a request is; one for files is none.
 fn order_of(requested: RequestKind, job: &str, plan: Option<u64>) -> Option<Order> {
     match requested {
-        RequestKind::Approve => Some(Order::Approve { id: job.to_string(), plan }),
+        RequestKind::Approve => plan.map(|plan| Order::Approve { id: job.to_string(), plan }),
         RequestKind::Reject => Some(Order::Reject(job.to_string())),
         RequestKind::Cancel => Some(Order::Cancel(job.to_string())),
         RequestKind::Send => None,
@@ -280,6 +280,7 @@ impl CellSide for Side {
             self.decided_afar.insert(job.to_string());
         }
         tokio::spawn(async move {
+            let by = OrderedBy { session: by.clone(), name: by };
             let Reply { accepted, message } = order_sender.order(order, by).await;
             // Who requested it may have gone.
             let _ = answer.send((accepted, message));

@@ -2,32 +2,37 @@
 //!
 //! In: a [`Command`] from `celld arm` and its like. Out: the same in the daemon, once, and its answer back.
 //! A command is a file, renamed into place whole, that carries the name of the daemon it was meant for: one
-//! that was not taken (the daemon had just ended) is never obeyed by the next daemon, and one that is read
-//! more than [`COUNTS_FOR_S`] after it was given is refused, so an old `arm` cannot move an arm. What only
-//! stops is obeyed however old. The daemon removes the file before it obeys: a command is carried out at
-//! most once.
+//! that was not taken (the daemon had just ended) is never obeyed by the next daemon. Its sender keeps the
+//! file locked until it has the answer, so the daemon sees when nobody waits any more
+//! (`cell_edge::mailbox`). Stops are taken before everything else that lies there, and removed afterwards;
+//! any other command is removed before it is obeyed, so it is either carried out or taken back by its
+//! sender. How old a command may be is judged where it is decided (`cell_machine::intake`).
 
-use cell_edge::files::{FileError, create_folder, read_regular, remove, take_away, write_new, write_secret};
+use cell_edge::files::{FileError, create_folder, read_regular, remove, write_answer};
+use cell_edge::mailbox::{Left, Mailbox, SenderLock, leave};
+use cell_machine::intake::Unreachable;
 use cell_machine::orders::{Channels, Order, Reply, Role, WayBack};
 use serde::{Deserialize, Serialize};
-use std::os::unix::fs::MetadataExt;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Longest file that is read as a command.
 const MAX_BYTES: u64 = 64 * 1024;
 
-/// Most commands taken in one turn; the rest waits for the next.
-const MAX_AT_ONCE: usize = 4;
+/// New files that are looked into at a time, to find the stops among them.
+const LOOKED_INTO_AT_ONCE: usize = 256;
 
-/// For so long an order counts, s: a daemon that was held up (a slow disk, a stopped process) must not move
-/// the arm for a person who has gone on to something else.
-pub const COUNTS_FOR_S: f64 = 10.0;
+/// Commands other than stops that are taken at a time.
+const TAKEN_AT_ONCE: usize = 8;
 
 /// The answer to a command that was left for an earlier daemon.
 pub const FOR_ANOTHER: &str = "this command was meant for a daemon that has ended";
 
-/// Clocks of one machine agree; an order from further ahead was not stamped on this one.
-const AHEAD_S: f64 = 1.0;
+/// How the file of a command is called.
+const SUFFIX: &str = ".command";
+
+/// What names the file of a stop besides, so that it is looked into first.
+const STOP_MARK: &str = "-stop";
 
 /// When an order was given.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,8 +55,8 @@ pub enum Command {
     Approve {
         /// The job.
         id: String,
-        /// Number of the plan, as in the status; absent: the one that waits.
-        plan: Option<u64>,
+        /// Number of the plan that was shown, as in the status.
+        plan: u64,
     },
     /// Refuse a job's plan: the job ends as cancelled.
     Reject {
@@ -132,21 +137,6 @@ struct Envelope {
     command: Command,
 }
 
-impl Envelope {
-    /// Why it does not count any more at `boot_s`, if so.
-    fn outdated(&self, boot_s: f64) -> Option<String> {
-        let age_s = boot_s - self.boot_s;
-        // Written so that an age that is no number is outdated.
-        let counts = self.command.counts_always() || (-AHEAD_S..=COUNTS_FOR_S).contains(&age_s);
-        (!counts).then(|| {
-            format!(
-                "nothing was done: this order was given {age_s:.0} s ago and counts for {COUNTS_FOR_S:.0} s; \
-                     look at the cell, then give it again"
-            )
-        })
-    }
-}
-
 impl Command {
     /// The order to the machine; `None` for what is not for the machine.
     pub fn order(&self) -> Option<Order> {
@@ -173,29 +163,83 @@ impl Command {
         })
     }
 
-    /// It only stops: obeyed however old it is.
-    fn counts_always(&self) -> bool {
+    /// It only stops: obeyed however old it is, and whoever waits for it.
+    pub fn only_stops(&self) -> bool {
         self.order().is_some_and(|order| order.only_stops())
     }
 }
 
 /// A command that the daemon took, to be answered.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Taken {
     /// What is requested.
     pub command: Command,
     /// Who gave it: the system's number of the owner of its file.
-    pub uid: Option<u32>,
+    pub uid: u32,
     /// When it was given, s since the machine started, as its sender says.
     pub boot_s: f64,
-    reply: PathBuf,
+    /// Held while its sender waits for the answer.
+    pub lock: SenderLock,
+    path: PathBuf,
+}
+
+impl Taken {
+    /// Removes the file of a stop, and leaves the answer.
+    ///
+    /// # Errors
+    /// The answer cannot be written.
+    pub fn answer(&self, reply: &Reply) -> Result<(), FileError> {
+        if self.command.only_stops() {
+            let _ = std::fs::remove_file(&self.path);
+        }
+        answer(&self.path, self.uid, reply)
+    }
+}
+
+/// What a look into the folder brought.
+#[derive(Debug, Default)]
+pub struct Mail {
+    /// Commands, stops first, then in the order of sending.
+    pub taken: Vec<Taken>,
+    /// Files that are no command for this daemon, with their answers.
+    pub refused: Vec<Refused>,
+    /// Why not everything could be taken.
+    pub fault: Option<Unreachable>,
+}
+
+/// A file that is no command for this daemon.
+#[derive(Debug)]
+pub struct Refused {
+    path: PathBuf,
+    uid: u32,
+    why: &'static str,
+}
+
+impl Refused {
+    /// Leaves the answer.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn answer(&self) -> Result<(), FileError> {
+        answer(&self.path, self.uid, &Reply::refuse(self.why))
+    }
+}
+
+/// What is known of a file that lies in the folder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Known {
+    /// A stop that was handed on; its file is about to go.
+    Obeyed,
+    /// Anything else: its turn comes.
+    Waits,
 }
 
 /// The daemon's end.
 #[derive(Debug)]
 pub struct Inbox {
-    folder: PathBuf,
+    mailbox: Mailbox,
     daemon: String,
+    known: BTreeMap<String, Known>,
 }
 
 impl Inbox {
@@ -205,72 +249,109 @@ impl Inbox {
     /// The folder cannot be created or listed, or a file in it cannot be removed.
     pub fn open(folder: &Path, daemon: impl Into<String>) -> Result<Inbox, FileError> {
         create_folder(folder)?;
-        for path in list(folder)? {
-            remove(&path)?;
+        let mailbox = Mailbox::open(folder)?;
+        for name in mailbox.names("")? {
+            if !folder.join(&name).is_dir() {
+                mailbox.claim(&name)?;
+            }
         }
-        Ok(Inbox { folder: folder.to_owned(), daemon: daemon.into() })
+        Ok(Inbox { mailbox, daemon: daemon.into(), known: BTreeMap::new() })
     }
 
-    /// Takes what is there, in the order of sending; `boot_now_s` gives the s since the machine started.
-    /// Files that are no command for this daemon are removed, and so are orders that do not count any more.
-    /// Their age counts when they were removed, which a slow disk may delay; what its sender has taken back
-    /// meanwhile is not obeyed. Whatever happens to one file, the commands taken before it are returned: an
-    /// abort must not be lost to a full disk.
-    ///
-    /// # Errors
-    /// The folder cannot be listed. A single file that makes trouble is logged and is no error.
-    pub fn take(&mut self, boot_now_s: impl Fn() -> f64) -> Result<Vec<Taken>, FileError> {
-        let mut taken = Vec::new();
-        for path in list(&self.folder)?.into_iter().filter(|path| is_command(path)).take(MAX_AT_ONCE) {
-            let uid = std::fs::symlink_metadata(&path).ok().map(|file| file.uid());
-            let envelope = read_regular(&path, MAX_BYTES)
-                .ok()
-                .and_then(|(text, _)| serde_json::from_str::<Envelope>(&text).ok());
-            match take_away(&path) {
-                Ok(true) => {}
-                // Its sender has taken it back.
-                Ok(false) => continue,
-                Err(error) => {
-                    tracing::warn!(%error, "a command could not be taken");
-                    break;
+    /// Takes what is there: every stop, and up to `room` other commands in the order of sending. Whatever
+    /// happens to one file, what was taken besides is returned.
+    pub fn take(&mut self, room: usize) -> Mail {
+        let mut mail = Mail::default();
+        let folder = || self.mailbox.path().display().to_string();
+        if !self.mailbox.is_in_place() {
+            mail.fault = Some(Unreachable::FolderGone(folder()));
+            return mail;
+        }
+        let names = match self.mailbox.names(SUFFIX) {
+            Ok(names) => names,
+            Err(error) => {
+                mail.fault = Some(Unreachable::Unreadable(folder(), error.reason()));
+                return mail;
+            }
+        };
+        self.known.retain(|name, _| names.binary_search(name).is_ok());
+        self.take_stops(&names, &mut mail);
+        let mut room = room.min(TAKEN_AT_ONCE);
+        for name in names.iter().filter(|name| self.known.get(*name) == Some(&Known::Waits)) {
+            if room == 0 {
+                break;
+            }
+            room -= 1;
+            self.take_one(name, &mut mail);
+        }
+        mail
+    }
+
+    /// Looks into new files and takes the stops among them.
+    fn take_stops(&mut self, names: &[String], mail: &mut Mail) {
+        let (stops, others): (Vec<&String>, Vec<&String>) = names
+            .iter()
+            .filter(|name| !self.known.contains_key(*name))
+            .partition(|name| name.contains(STOP_MARK));
+        for name in stops.into_iter().chain(others).take(LOOKED_INTO_AT_ONCE) {
+            match self.read(name) {
+                Ok(Ok(taken)) if taken.command.only_stops() => {
+                    self.known.insert(name.clone(), Known::Obeyed);
+                    mail.taken.push(taken);
                 }
-            }
-            let reply = path.with_extension("reply");
-            let refused = match envelope {
-                Some(envelope) if envelope.daemon == self.daemon => match envelope.outdated(boot_now_s()) {
-                    Some(why) => {
-                        tracing::warn!(command = ?envelope.command, "refused: {why}");
-                        why
-                    }
-                    None => {
-                        let Envelope { command, boot_s, .. } = envelope;
-                        taken.push(Taken { command, uid, boot_s, reply });
-                        continue;
-                    }
-                },
-                Some(_) => FOR_ANOTHER.to_string(),
-                None => "this file is not a command of this version of celld".to_string(),
-            };
-            if let Err(error) = answer(&reply, uid, false, &refused) {
-                tracing::warn!(%error, "a command could not be answered");
+                Ok(_) => _ = self.known.insert(name.clone(), Known::Waits),
+                Err(fault) => mail.fault = fault.or(mail.fault.take()),
             }
         }
-        Ok(taken)
     }
 
-    /// Answers a command.
-    ///
-    /// # Errors
-    /// The answer cannot be written.
-    pub fn reply(&self, taken: &Taken, reply: &Reply) -> Result<(), FileError> {
-        answer(&taken.reply, taken.uid, reply.accepted, &reply.message)
+    /// Takes a command that is no stop: removed first, so that its sender cannot take it back any more.
+    fn take_one(&self, name: &str, mail: &mut Mail) {
+        let read = match self.read(name) {
+            Ok(read) => read,
+            Err(fault) => return mail.fault = fault.or(mail.fault.take()),
+        };
+        match self.mailbox.claim(name) {
+            // Its sender has taken it back.
+            Ok(false) => {}
+            Ok(true) => match read {
+                Ok(taken) => mail.taken.push(taken),
+                Err(refused) => mail.refused.push(refused),
+            },
+            Err(error) => mail.fault = Some(self.unreadable(&error)),
+        }
+    }
+
+    /// A file as a command, or why it is none. The error is of the folder; `None`: the file is gone.
+    fn read(&self, name: &str) -> Result<Result<Taken, Refused>, Option<Unreachable>> {
+        let path = self.mailbox.path().join(name);
+        let refused = |uid, why| Ok(Err(Refused { path: path.clone(), uid, why }));
+        let letter = match self.mailbox.read(name, MAX_BYTES) {
+            Ok(letter) => letter,
+            Err(error) if error.is_absent() => return Err(None),
+            Err(FileError::Unfit { .. }) => return refused(u32::MAX, NO_COMMAND),
+            Err(error) => return Err(Some(self.unreadable(&error))),
+        };
+        match serde_json::from_str::<Envelope>(&letter.text) {
+            Err(_) => refused(letter.uid, NO_COMMAND),
+            Ok(Envelope { daemon, .. }) if daemon != self.daemon => refused(letter.uid, FOR_ANOTHER),
+            Ok(Envelope { boot_s, command, .. }) => {
+                Ok(Ok(Taken { command, uid: letter.uid, boot_s, lock: letter.lock, path }))
+            }
+        }
+    }
+
+    fn unreadable(&self, error: &FileError) -> Unreachable {
+        Unreachable::Unreadable(self.mailbox.path().display().to_string(), error.reason())
     }
 }
 
-/// A command on its way, seen from the sender.
-#[derive(Clone, Debug, PartialEq, Eq)]
+const NO_COMMAND: &str = "this file is not a command of this version of celld";
+
+/// A command on its way, seen from the sender. As long as it is kept, the daemon sees that its sender waits.
+#[derive(Debug)]
 pub struct Sent {
-    command: PathBuf,
+    left: Left,
     reply: PathBuf,
 }
 
@@ -285,9 +366,10 @@ impl Sent {
         let text = serde_json::to_string(&envelope).expect("commands have string keys only");
         let pid = std::process::id();
         let micros = (given.unix_s * 1e6) as u64;
-        let names = (0..1000).map(|number| format!("{micros:020}-{pid}-{number:03}.command"));
-        let path = folder.join(write_new(folder, names, text.as_bytes())?);
-        Ok(Sent { reply: path.with_extension("reply"), command: path })
+        let mark = if command.only_stops() { STOP_MARK } else { "" };
+        let names = (0..1000).map(|number| format!("{micros:020}-{pid}-{number:03}{mark}{SUFFIX}"));
+        let left = leave(folder, names, text.as_bytes())?;
+        Ok(Sent { reply: left.path.with_extension("reply"), left })
     }
 
     /// The answer, once it is there; it is removed.
@@ -295,58 +377,69 @@ impl Sent {
     /// # Errors
     /// The answer is there, but it cannot be read or removed.
     pub fn poll(&self) -> Result<Option<Reply>, FileError> {
-        let text = match read_regular(&self.reply, MAX_BYTES) {
-            Err(error) if error.is_absent() => return Ok(None),
-            other => other?.0,
-        };
-        remove(&self.reply)?;
-        let unreadable =
-            |_| Reply { accepted: false, message: "the daemon's answer is not readable".to_owned() };
-        Ok(Some(serde_json::from_str(&text).unwrap_or_else(unreadable)))
+        poll(&self.reply)
     }
 
     /// Takes the command back; false when the daemon has it already.
     ///
     /// # Errors
-    /// The command cannot be removed, or its folder cannot be synced.
+    /// The command cannot be removed.
     pub fn withdraw(&self) -> Result<bool, FileError> {
-        let there = self.command.exists();
-        remove(&self.command)?;
-        Ok(there)
-    }
-}
-
-/// An answer may be a secret (`celld open`): it is for whoever gave the command, and another user than the
-/// daemon's reads it by the group that both are in.
-fn answer(path: &Path, requested_by: Option<u32>, accepted: bool, message: &str) -> Result<(), FileError> {
-    let reply = Reply { accepted, message: message.to_owned() };
-    let text = serde_json::to_string(&reply).expect("replies have string keys only");
-    let own = requested_by == Some(rustix::process::geteuid().as_raw());
-    write_secret(path, text.as_bytes(), !own)
-}
-
-fn is_command(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension == "command")
-}
-
-/// Plain entries of the folder by name; what is hidden is still being written.
-fn list(folder: &Path) -> Result<Vec<PathBuf>, FileError> {
-    let fail = |source| FileError::Io { action: "list", path: folder.to_owned(), source };
-    let mut paths = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(fail)? {
-        let entry = entry.map_err(fail)?;
-        let hidden = entry.file_name().to_string_lossy().starts_with('.');
-        if !hidden && entry.file_type().is_ok_and(|kind| !kind.is_dir()) {
-            paths.push(entry.path());
+        match std::fs::remove_file(&self.left.path) {
+            Ok(()) => Ok(true),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(false),
+            Err(source) => Err(FileError::Io { action: "take back", path: self.left.path.clone(), source }),
         }
     }
-    paths.sort();
-    Ok(paths)
+
+    /// The command still lies there: no daemon has taken it.
+    pub fn lies_there(&self) -> bool {
+        self.left.path.exists()
+    }
+
+    /// Waits no longer: the daemon carries the command out only if it was decided before. What is left is
+    /// the place of the answer.
+    pub fn let_go(self) -> LastWord {
+        LastWord(self.reply)
+    }
+}
+
+/// Where the answer to a command appears that nobody waits for any more.
+#[derive(Debug)]
+pub struct LastWord(PathBuf);
+
+impl LastWord {
+    /// As [`Sent::poll`].
+    ///
+    /// # Errors
+    /// As [`Sent::poll`].
+    pub fn poll(&self) -> Result<Option<Reply>, FileError> {
+        poll(&self.0)
+    }
+}
+
+fn poll(reply: &Path) -> Result<Option<Reply>, FileError> {
+    let text = match read_regular(reply, MAX_BYTES) {
+        Err(error) if error.is_absent() => return Ok(None),
+        other => other?.0,
+    };
+    remove(reply)?;
+    let unreadable = |_| Reply { accepted: false, message: "the daemon's answer is not readable".to_owned() };
+    Ok(Some(serde_json::from_str(&text).unwrap_or_else(unreadable)))
+}
+
+/// An answer may be a secret (`celld open`): it is for the user who gave the command, and another user than
+/// the daemon's reads it by the group that both are in.
+fn answer(command: &Path, requested_by: u32, reply: &Reply) -> Result<(), FileError> {
+    let text = serde_json::to_string(reply).expect("replies have string keys only");
+    let own = requested_by == rustix::process::geteuid().as_raw();
+    write_answer(&command.with_extension("reply"), text.as_bytes(), !own)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::os::unix::fs::MetadataExt;
 
     fn given(unix_s: f64) -> Given {
         Given { unix_s, boot_s: 100.0 }
@@ -356,20 +449,24 @@ mod tests {
         tempfile::tempdir().unwrap()
     }
 
+    fn commands(mail: &Mail) -> Vec<&Command> {
+        mail.taken.iter().map(|taken| &taken.command).collect()
+    }
+
     #[test]
     fn commands_arrive_once_in_order_and_are_answered() {
         let folder = folder();
         let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
-        let approve = Command::Approve { id: "tidy".into(), plan: Some(3) };
+        let approve = Command::Approve { id: "tidy".into(), plan: 3 };
         let first = Sent::send(folder.path(), "d1", &Command::Arm, given(10.0)).unwrap();
-        Sent::send(folder.path(), "d1", &approve, given(10.0)).unwrap();
+        let _second = Sent::send(folder.path(), "d1", &approve, given(10.0)).unwrap();
         assert_eq!(first.poll().unwrap(), None);
-        let taken = inbox.take(|| 100.0).unwrap();
-        assert_eq!(taken.iter().map(|taken| &taken.command).collect::<Vec<_>>(), [&Command::Arm, &approve]);
-        assert!(inbox.take(|| 100.0).unwrap().is_empty());
+        let mail = inbox.take(9);
+        assert_eq!(commands(&mail), [&Command::Arm, &approve]);
+        assert!(inbox.take(9).taken.is_empty());
         let reply = Reply { accepted: false, message: "the robot is in local mode".into() };
-        inbox.reply(&taken[0], &reply).unwrap();
-        // The asker is the daemon's own user here: an answer may be a secret.
+        mail.taken[0].answer(&reply).unwrap();
+        // The client is the daemon's own user here: an answer may be a secret.
         let mode = std::fs::metadata(&first.reply).unwrap().mode() & 0o777;
         assert_eq!(mode, 0o600);
         assert_eq!(first.poll().unwrap(), Some(reply));
@@ -377,58 +474,48 @@ mod tests {
     }
 
     #[test]
+    fn a_stop_is_taken_before_a_thousand_other_commands() {
+        let folder = folder();
+        let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
+        let text = r#"{"daemon": "d1", "boot_s": 100.0, "command": {"do": "resume"}}"#;
+        (0..1000).for_each(|n| std::fs::write(folder.path().join(format!("{n:04}.command")), text).unwrap());
+        let abort = Sent::send(folder.path(), "d1", &Command::Abort, given(10.0)).unwrap();
+        let mail = inbox.take(3);
+        assert_eq!(commands(&mail), [&Command::Abort, &Command::Resume, &Command::Resume, &Command::Resume]);
+        assert!(abort.lies_there() && !commands(&inbox.take(3)).contains(&&Command::Abort), "obeyed once");
+        mail.taken[0].answer(&Reply::accept("stopped")).unwrap();
+        assert!(!abort.lies_there() && abort.poll().unwrap().is_some_and(|reply| reply.accepted));
+        // One that nothing in its name marks is found within a few looks.
+        std::fs::write(folder.path().join("9999.command"), text.replace("resume", "abort")).unwrap();
+        let found = (0..8).any(|_| commands(&inbox.take(0)).contains(&&Command::Abort));
+        assert!(found, "among a thousand others");
+    }
+
+    #[test]
+    fn the_daemon_sees_whether_the_sender_still_waits() {
+        let folder = folder();
+        let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
+        let sent = Sent::send(folder.path(), "d1", &Command::Arm, given(10.0)).unwrap();
+        let mail = inbox.take(1);
+        assert!(mail.taken[0].lock.is_held());
+        let last_word = sent.let_go();
+        assert!(!mail.taken[0].lock.is_held());
+        mail.taken[0].answer(&Reply::refuse("too late")).unwrap();
+        assert_eq!(last_word.poll().unwrap(), Some(Reply::refuse("too late")));
+    }
+
+    #[test]
     fn an_old_command_never_reaches_the_next_daemon() {
         let folder = folder();
         let late = Sent::send(folder.path(), "d1", &Command::Arm, given(10.0)).unwrap();
         let mut inbox = Inbox::open(folder.path(), "d2").unwrap();
-        assert!(inbox.take(|| 100.0).unwrap().is_empty(), "cleared at start");
-        let later = Sent::send(folder.path(), "d1", &Command::Arm, given(11.0)).unwrap();
-        assert!(inbox.take(|| 100.0).unwrap().is_empty(), "meant for the daemon before");
+        assert!(inbox.take(9).taken.is_empty(), "cleared at start");
+        let later = Sent::send(folder.path(), "d1", &Command::Abort, given(11.0)).unwrap();
+        let mail = inbox.take(9);
+        assert!(mail.taken.is_empty(), "meant for the daemon before");
+        mail.refused[0].answer().unwrap();
         assert!(!later.poll().unwrap().unwrap().accepted);
         assert!(!late.withdraw().unwrap());
-    }
-
-    #[test]
-    fn an_order_counts_for_ten_seconds_unless_it_only_stops() {
-        let id = || "tidy".to_string();
-        let commands = [
-            (Command::Arm, false),
-            (Command::Disarm, true),
-            (Command::Approve { id: id(), plan: None }, false),
-            (Command::Reject { id: id() }, false),
-            (Command::Cancel { id: id() }, false),
-            (Command::Pause, true),
-            (Command::Resume, false),
-            (Command::Step, false),
-            (Command::Abort, true),
-            (Command::Park, false),
-            (Command::Release { channel: None }, false),
-            (Command::Recover { how: WayBack::Show }, false),
-            (Command::ConfirmGripper, false),
-            (Command::Calibrate, false),
-            (
-                Command::SignIn(SignIn {
-                    role: Role::View,
-                    name: None,
-                    token_days: None,
-                    own_browser: false,
-                }),
-                false,
-            ),
-        ];
-        for (command, always) in commands {
-            // Read in time, late, stamped on another clock, and stamped with no number at all.
-            for (boot_s, counts) in [(109.9, true), (110.1, always), (98.0, always), (f64::NAN, always)] {
-                let folder = folder();
-                let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
-                let sent = Sent::send(folder.path(), "d1", &command, given(10.0)).unwrap();
-                let taken = inbox.take(|| boot_s).unwrap();
-                assert_eq!(taken.len(), usize::from(counts), "{command:?} at {boot_s}");
-                let refused = sent.poll().unwrap();
-                assert_eq!(refused.is_some(), !counts, "{command:?} at {boot_s}");
-                assert!(refused.is_none_or(|reply| !reply.accepted && reply.message.contains("again")));
-            }
-        }
     }
 
     #[test]
@@ -440,20 +527,39 @@ mod tests {
             ("2.command", r#"{"daemon": "d1", "boot_s": 100.0, "command": {"do": "fly"}}"#),
             ("3.command", r#"{"daemon": "d1", "boot_s": 100.0, "command": {"do": "arm"}, "extra": 1}"#),
             ("5.command", r#"{"daemon": "d1", "command": {"do": "arm"}}"#),
+            ("6.command", r#"{"daemon": "d1", "boot_s": 1.0, "command": {"do": "approve", "id": "a"}}"#),
         ] {
             std::fs::write(folder.path().join(name), text).unwrap();
         }
         std::os::unix::fs::symlink("/dev/zero", folder.path().join("4.command")).unwrap();
-        (0..2).for_each(|_| assert!(inbox.take(|| 100.0).unwrap().is_empty()));
-        assert!(!list(folder.path()).unwrap().iter().any(|path| is_command(path)));
+        let mail = inbox.take(9);
+        assert!(mail.taken.is_empty() && mail.refused.len() == 6 && mail.fault.is_none(), "{mail:?}");
+        assert!(inbox.mailbox.names(SUFFIX).unwrap().is_empty());
     }
 
     #[test]
-    fn a_command_can_be_taken_back() {
+    fn a_command_can_be_taken_back_until_the_daemon_has_it() {
         let folder = folder();
         let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
         let sent = Sent::send(folder.path(), "d1", &Command::Park, given(10.0)).unwrap();
+        assert!(inbox.take(0).taken.is_empty() && sent.lies_there());
         assert!(sent.withdraw().unwrap());
-        assert!(inbox.take(|| 100.0).unwrap().is_empty());
+        assert!(inbox.take(9).taken.is_empty());
+        let sent = Sent::send(folder.path(), "d1", &Command::Park, given(10.0)).unwrap();
+        assert_eq!(commands(&inbox.take(9)), [&Command::Park]);
+        assert!(!sent.withdraw().unwrap());
+    }
+
+    #[test]
+    fn a_folder_that_is_gone_is_a_fault_and_takes_nothing_back() {
+        let root = folder();
+        let path = root.path().join("commands");
+        let mut inbox = Inbox::open(&path, "d1").unwrap();
+        let _abort = Sent::send(&path, "d1", &Command::Abort, given(10.0)).unwrap();
+        std::fs::rename(&path, root.path().join("aside")).unwrap();
+        let mail = inbox.take(9);
+        assert!(matches!(mail.fault, Some(Unreachable::FolderGone(_))) && mail.taken.is_empty());
+        std::fs::rename(root.path().join("aside"), &path).unwrap();
+        assert_eq!(commands(&inbox.take(9)), [&Command::Abort]);
     }
 }

@@ -1,70 +1,133 @@
 //! Orders from the page on their way to the machine.
 //!
-//! In: orders with who gives them. Out: the same to a thread that takes them in beside those of the state
-//! folder and waits for no disk; the machine's answers back to who waits for them. An order that was not
-//! taken in time does not count any more, as with command files (`jobs/command`), unless it only stops. What
-//! a person has confirmed is remembered before it is answered.
+//! In: orders with the person and the session that give them. Out: the same to a thread that takes them in
+//! beside those of the state folder and waits for no disk; the machine's answers back. Stops have a queue of
+//! their own: repeated stops of one session and kind share a place and an answer, so there is always room.
+//! An order counts only while its request is open. What a person has confirmed is remembered before it is
+//! answered.
 
 use crate::daemon::gripper_memory::GripperMemory;
-use crate::daemon::intake::{self, Orders};
-use crate::jobs::command::COUNTS_FOR_S;
+use crate::daemon::intake::{Batch, Orders};
+use crate::daemon::messages::Given;
 use cell_edge::clock::boot_now_s;
 use cell_machine::orders::{Order, Reply};
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::oneshot;
 
-/// Orders that wait to be taken in; they are taken twenty times a second.
+/// Orders other than stops that wait to be taken in.
 const QUEUE: usize = 32;
 
 /// How long the machine may take to answer: the arm may have to stop first.
 const ANSWER_WITHIN: Duration = Duration::from_secs(15);
 
+/// Who gives an order.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct OrderedBy {
+    /// As the log names the person.
+    pub name: String,
+    /// The session; no secret.
+    pub session: String,
+}
+
 /// An order on its way.
-struct Given {
+struct Waiting {
     order: Order,
-    by: String,
+    by: OrderedBy,
     boot_s: f64,
-    answer: oneshot::Sender<Reply>,
+    /// Lowered with the request.
+    open: Arc<AtomicBool>,
+    answers: Vec<oneshot::Sender<Reply>>,
+}
+
+#[derive(Default)]
+struct Queue {
+    stops: Vec<Waiting>,
+    others: VecDeque<Waiting>,
+    closed: bool,
+}
+
+/// Lowers its flag when the request is over, however it ends.
+struct OpenRequest(Arc<AtomicBool>);
+
+impl Drop for OpenRequest {
+    fn drop(&mut self) {
+        self.0.store(false, Ordering::Relaxed);
+    }
 }
 
 /// The page's end.
 #[derive(Clone)]
-pub struct OrderSender(SyncSender<Given>);
+pub struct OrderSender(Arc<Mutex<Queue>>);
+
+fn queue(shared: &Mutex<Queue>) -> MutexGuard<'_, Queue> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 impl OrderSender {
-    /// Gives an order and waits for the answer.
-    pub async fn order(&self, order: Order, by: String) -> Reply {
+    /// Gives an order and waits for the answer. Dropped before the order is decided, it withdraws the order,
+    /// unless that only stops.
+    pub async fn order(&self, order: Order, by: OrderedBy) -> Reply {
         let (answer, answered) = oneshot::channel();
-        match self.0.try_send(Given { order, by, boot_s: boot_now_s(), answer }) {
-            Ok(()) => {}
-            Err(TrySendError::Full(_)) => return Reply::refuse("too many orders wait to be taken in"),
-            Err(TrySendError::Disconnected(_)) => return Reply::refuse("celld is ending"),
+        let open = OpenRequest(Arc::new(AtomicBool::new(true)));
+        if let Err(refusal) = self.put(order, by, &open, answer) {
+            return refusal;
         }
         match tokio::time::timeout(ANSWER_WITHIN, answered).await {
             Ok(Ok(reply)) => reply,
             Ok(Err(_)) => Reply::refuse("celld takes no orders yet, or is ending; nothing was done"),
             Err(_) => Reply::refuse(format!(
-                "no answer within {} s; it is not known whether the order was carried out, see the status",
+                "no answer within {} s; see the status for what was done, and give the order again if it is needed",
                 ANSWER_WITHIN.as_secs()
             )),
         }
+    }
+
+    fn put(
+        &self,
+        order: Order,
+        by: OrderedBy,
+        open: &OpenRequest,
+        answer: oneshot::Sender<Reply>,
+    ) -> Result<(), Reply> {
+        let mut queue = queue(&self.0);
+        if queue.closed {
+            return Err(Reply::refuse("celld is ending"));
+        }
+        let same = |waits: &&mut Waiting| waits.order == order && waits.by.session == by.session;
+        if let Some(waits) = queue.stops.iter_mut().find(same) {
+            waits.answers.push(answer);
+            return Ok(());
+        }
+        let stops = order.only_stops();
+        let (boot_s, open, answers) = (boot_now_s(), open.0.clone(), vec![answer]);
+        let waiting = Waiting { order, by, boot_s, open, answers };
+        match stops {
+            true => queue.stops.push(waiting),
+            false if queue.others.len() >= QUEUE => {
+                return Err(Reply::refuse("too many orders wait to be taken in"));
+            }
+            false => queue.others.push_back(waiting),
+        }
+        Ok(())
     }
 }
 
 /// The end at which the page's orders arrive.
 pub struct PageOrders {
-    page: Receiver<Given>,
+    page: Arc<Mutex<Queue>>,
     memory: GripperMemory,
     last: u32,
-    unanswered: Vec<(u32, Given)>,
+    unanswered: Vec<(u32, Waiting)>,
 }
 
 /// Where the page gives its orders, and the end at which its orders arrive; `memory`: where a confirmed
 /// gripper is remembered.
 pub fn order_channel(memory: GripperMemory) -> (OrderSender, PageOrders) {
-    let (sender, page) = sync_channel(QUEUE);
-    (OrderSender(sender), PageOrders { page, memory, last: 0, unanswered: Vec::new() })
+    let page: Arc<Mutex<Queue>> = Arc::default();
+    (OrderSender(page.clone()), PageOrders { page, memory, last: 0, unanswered: Vec::new() })
 }
 
 impl Orders for PageOrders {
@@ -72,29 +135,31 @@ impl Orders for PageOrders {
         "the intake of the page's orders"
     }
 
-    fn take(&mut self) -> Vec<intake::Given> {
-        let (mut orders, now_s) = (Vec::new(), boot_now_s());
-        self.unanswered.retain(|(_, given)| !given.answer.is_closed());
-        while let Ok(given) = self.page.try_recv() {
-            if now_s - given.boot_s > COUNTS_FOR_S && !given.order.only_stops() {
-                let why = "nothing was done: the order was not taken in in time; look at the cell, then give it again";
-                let _ = given.answer.send(Reply::refuse(why));
-                continue;
-            }
+    fn take(&mut self) -> Batch {
+        let taken: Vec<Waiting> = {
+            let mut queue = queue(&self.page);
+            let stops = std::mem::take(&mut queue.stops);
+            stops.into_iter().chain(std::mem::take(&mut queue.others)).collect()
+        };
+        let mut orders = Vec::with_capacity(taken.len());
+        for waiting in taken {
             self.last += 1;
-            orders.push(intake::Given {
+            let open = waiting.open.clone();
+            orders.push(Given {
                 number: self.last,
-                order: given.order.clone(),
-                boot_s: given.boot_s,
+                order: waiting.order.clone(),
+                boot_s: waiting.boot_s,
+                client_waits: Arc::new(move || open.load(Ordering::Relaxed)),
             });
-            self.unanswered.push((self.last, given));
+            self.unanswered.push((self.last, waiting));
         }
-        orders
+        Batch { orders, fault: None }
     }
 
     fn reply(&mut self, number: u32, reply: &Reply) {
         let Some(index) = self.unanswered.iter().position(|(open, _)| *open == number) else { return };
-        let (_, Given { order, by, answer, .. }) = self.unanswered.swap_remove(index);
+        let (_, Waiting { order, by, answers, .. }) = self.unanswered.swap_remove(index);
+        let by = by.name;
         if reply.accepted {
             tracing::info!(?order, by, "ordered: {}", reply.message);
         } else {
@@ -103,20 +168,35 @@ impl Orders for PageOrders {
         let (memory, reply) = (self.memory.clone(), reply.clone());
         if GripperMemory::concerns(&order, &reply) {
             // The disk may take its time: the next order does not wait for it.
-            std::thread::spawn(move || answer.send(memory.remember(&order, &reply)));
+            std::thread::spawn(move || answer_all(answers, &memory.remember(&order, &reply)));
         } else {
-            // Who gave it may have gone.
-            let _ = answer.send(reply);
+            answer_all(answers, &reply);
         }
+    }
+}
+
+/// Those who gave the order may have gone.
+fn answer_all(answers: Vec<oneshot::Sender<Reply>>, reply: &Reply) {
+    for answer in answers {
+        let _ = answer.send(reply.clone());
     }
 }
 
 impl Drop for PageOrders {
     /// What is with the machine may still be carried out, or was.
     fn drop(&mut self) {
-        for (_, given) in self.unanswered.drain(..) {
-            let why = "celld ends; it is not known whether the order was carried out, see the status";
-            let _ = given.answer.send(Reply::refuse(why));
+        let waiting = {
+            let mut queue = queue(&self.page);
+            queue.closed = true;
+            std::mem::take(&mut *queue)
+        };
+        queue(&self.page).closed = true;
+        for waits in waiting.stops.into_iter().chain(waiting.others) {
+            answer_all(waits.answers, &Reply::refuse("celld ends; nothing was done"));
+        }
+        for (_, waits) in self.unanswered.drain(..) {
+            let why = "celld ends; see the status for what was done";
+            answer_all(waits.answers, &Reply::refuse(why));
         }
     }
 }
@@ -133,52 +213,92 @@ mod tests {
         (folder, order_sender, orders)
     }
 
-    async fn taken(orders: &mut PageOrders) -> intake::Given {
-        loop {
-            if let Some(given) = orders.take().pop() {
-                return given;
-            }
+    fn by(session: &str) -> OrderedBy {
+        OrderedBy { name: "anna".into(), session: session.into() }
+    }
+
+    fn give(sender: &OrderSender, order: Order, session: &str) -> tokio::task::JoinHandle<Reply> {
+        let (sender, by) = (sender.clone(), by(session));
+        tokio::spawn(async move { sender.order(order, by).await })
+    }
+
+    async fn taken(orders: &mut PageOrders, count: usize) -> Vec<Given> {
+        let mut taken = Vec::new();
+        while taken.len() < count {
+            taken.extend(orders.take().orders);
             tokio::task::yield_now().await;
         }
+        taken
     }
 
     #[tokio::test]
     async fn an_answer_comes_back_and_a_confirmed_gripper_is_remembered_before() {
         let (folder, order_sender, mut orders) = page();
-        let requested = {
-            let order_sender = order_sender.clone();
-            tokio::spawn(async move { order_sender.order(Order::Pause, "anna".into()).await })
-        };
-        let given = taken(&mut orders).await;
+        let requested = give(&order_sender, Order::Pause, "1");
+        let given = taken(&mut orders, 1).await.remove(0);
         assert_eq!((given.number, given.order), (1, Order::Pause));
         orders.reply(1, &Reply::accept("paused"));
         assert_eq!(requested.await.unwrap(), Reply::accept("paused"));
 
-        let requested =
-            tokio::spawn(async move { order_sender.order(Order::ConfirmGripper, "anna".into()).await });
-        let given = taken(&mut orders).await;
+        let requested = give(&order_sender, Order::ConfirmGripper, "1");
+        let given = taken(&mut orders, 1).await.remove(0);
         orders.reply(given.number, &Reply::accept("confirmed"));
         assert_eq!(requested.await.unwrap(), Reply::accept("confirmed"));
         assert!(StateFolder::new(folder.path()).gripper_confirmed("gripper:502"), "read back from the disk");
     }
 
     #[tokio::test]
-    async fn an_order_that_lay_too_long_moves_nothing_and_a_stop_stops() {
+    async fn a_request_that_ends_takes_its_order_with_it() {
         let (_folder, order_sender, mut orders) = page();
-        let old = boot_now_s() - 60.0;
-        let mut answers = Vec::new();
-        for order in [Order::Arm, Order::Abort] {
-            let (answer, answered) = oneshot::channel();
-            order_sender.0.try_send(Given { order, by: "anna".into(), boot_s: old, answer }).unwrap();
-            answers.push(answered);
+        let requested = give(&order_sender, Order::Arm, "1");
+        let given = taken(&mut orders, 1).await.remove(0);
+        assert!((given.client_waits)());
+        requested.abort();
+        assert!(requested.await.is_err_and(|error| error.is_cancelled()));
+        assert!(!(given.client_waits)());
+    }
+
+    #[tokio::test]
+    async fn a_hundred_viewers_that_pause_leave_room_for_a_stop_and_share_places() {
+        let (_folder, order_sender, mut orders) = page();
+        let full: Vec<_> = (0..QUEUE + 1).map(|_| give(&order_sender, Order::Resume, "x")).collect();
+        let viewers: Vec<_> =
+            (0..200).map(|n| give(&order_sender, Order::Pause, &(n % 100).to_string())).collect();
+        let abort = give(&order_sender, Order::Abort, "engineer");
+        let all_wait = || {
+            let queue = queue(&order_sender.0);
+            let answers: usize = queue.stops.iter().map(|waits| waits.answers.len()).sum();
+            (answers, queue.others.len()) == (201, QUEUE)
+        };
+        while !all_wait() {
+            tokio::task::yield_now().await;
         }
-        assert_eq!(orders.take().into_iter().map(|given| given.order).collect::<Vec<_>>(), [Order::Abort]);
-        let reply = answers.remove(0).await.unwrap();
-        assert!(!reply.accepted && reply.message.contains("nothing was done"), "{reply:?}");
+        let given = taken(&mut orders, 100 + 1 + QUEUE).await;
+        assert_eq!(given.len(), 100 + 1 + QUEUE, "two pauses of a session are one");
+        assert!(given[..101].iter().all(|given| given.order.only_stops()), "stops come first");
+        for given in &given {
+            orders.reply(given.number, &Reply::accept(format!("{:?}", given.order)));
+        }
+        assert_eq!(abort.await.unwrap(), Reply::accept("Abort"));
+        for viewer in viewers {
+            assert_eq!(viewer.await.unwrap(), Reply::accept("Pause"));
+        }
+        let mut refused = 0;
+        for other in full {
+            refused += usize::from(!other.await.unwrap().accepted);
+        }
+        assert_eq!(refused, 1, "one more than the queue holds");
+    }
+
+    #[tokio::test]
+    async fn when_celld_ends_every_order_is_answered() {
+        let (_folder, order_sender, mut orders) = page();
+        let with_the_machine = give(&order_sender, Order::Abort, "1");
+        taken(&mut orders, 1).await;
         drop(orders);
-        let open = answers.remove(0).await.unwrap();
-        assert!(!open.accepted && open.message.contains("not known"), "{open:?}");
-        let ended = order_sender.order(Order::Abort, "anna".into()).await;
+        let open = with_the_machine.await.unwrap();
+        assert!(!open.accepted && open.message.contains("see the status"), "{open:?}");
+        let ended = order_sender.order(Order::Abort, by("1")).await;
         assert!(!ended.accepted && ended.message.contains("ending"), "{ended:?}");
     }
 }

@@ -7,6 +7,7 @@
 use crate::jobs::command::Command;
 use crate::page::access::{Person, Redeemed, SESSION_S};
 use crate::page::guard::{Ends, Peer, Refused, Via, refusal, secret};
+use crate::page::orders::OrderedBy;
 use crate::page::shared::{App, Shared};
 use axum::body::Bytes;
 use axum::extract::rejection::{BytesRejection, JsonRejection};
@@ -192,6 +193,7 @@ pub async fn order(
             status => refusal(status, message),
         };
     }
+    let by = OrderedBy { name: by, session: person.session.clone() };
     let reply = app.order_sender.order(order, by).await;
     app.orders[usize::from(!reply.accepted)].fetch_add(1, Ordering::Relaxed);
     Json(reply).into_response()
@@ -233,17 +235,13 @@ fn may_order(app: &Shared, order: &Order, ordered: &Ordered, giver: &Giver) -> R
     }
     match order {
         // The machine compares the plan's number with that of the plan that waits.
-        Order::Approve { plan: Some(_), .. } | Order::Reject(_) => return Ok(()),
+        Order::Approve { .. } | Order::Reject(_) => return Ok(()),
         // It shows how things are, and changes nothing: whoever may look may request it, as often as other
         // things are looked at.
         Order::Recover(WayBack::Show) if !app.limits().request(&person.session, Instant::now()) => {
             return Err((StatusCode::TOO_MANY_REQUESTS, "too many requests; wait a little".into()));
         }
         Order::Recover(WayBack::Show) => return Ok(()),
-        Order::Approve { plan: None, .. } => {
-            let message = "say which plan is agreed to: its `number`, as in the status, as `plan`";
-            return Err((StatusCode::BAD_REQUEST, message.into()));
-        }
         Order::Arm
         | Order::Disarm
         | Order::Cancel(_)
@@ -318,7 +316,7 @@ mod tests {
             (Order::Recover(WayBack::Show), false),
             (Order::ConfirmGripper, true),
             (Order::Calibrate, true),
-            (Order::Approve { id: id(), plan: Some(1) }, false),
+            (Order::Approve { id: id(), plan: 1 }, false),
             (Order::Reject(id()), false),
             (Order::Cancel(id()), false),
             (Order::Disarm, false),

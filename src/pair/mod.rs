@@ -46,6 +46,7 @@ use crate::pair::store::Store;
 use crate::pair::trace::Trace;
 use cell_machine::device::program::TemplateError;
 use cell_machine::event::{Effect, Event, News};
+use cell_machine::intake::Origin;
 use cell_machine::machine::Machine;
 use cell_machine::orders::{Order, Reply};
 use cell_machine::planner::answer;
@@ -274,7 +275,7 @@ impl Pair {
         self.orders += 1;
         self.rules.ordered(self.orders, &order);
         self.trace.line(self.frame, || format!("order {} {order:?}", self.orders));
-        self.due.push(Event::Order(self.orders, order));
+        self.due.push(Event::Order(self.orders, order, Origin::OWN));
         self.orders
     }
 

@@ -6,7 +6,7 @@
 //! moves" that nothing does, "stopped" that the arm rests. `docs/orders.md` is written from it
 //! (`pair::orders_page`).
 
-use crate::pair::run::{bring_up, true_poses};
+use crate::pair::run::{bring_up, last_plan, true_poses};
 use crate::pair::stage::Stage;
 use crate::pair::work::job;
 use crate::pair::{Choice, Pair};
@@ -35,29 +35,30 @@ pub struct State {
 pub struct Given {
     /// As typed.
     pub command: &'static str,
-    order: fn(String) -> Order,
+    /// Of the active job and the plan that was made last.
+    order: fn(String, u64) -> Order,
 }
 
 /// Every order.
 pub static ORDERS: &[Given] = &[
-    Given { command: "arm", order: |_| Order::Arm },
-    Given { command: "disarm", order: |_| Order::Disarm },
-    Given { command: "approve", order: |id| Order::Approve { id, plan: None } },
-    Given { command: "reject", order: Order::Reject },
-    Given { command: "cancel", order: Order::Cancel },
-    Given { command: "pause", order: |_| Order::Pause },
-    Given { command: "resume", order: |_| Order::Resume },
-    Given { command: "step", order: |_| Order::Step },
-    Given { command: "park", order: |_| Order::Park },
-    Given { command: "abort", order: |_| Order::Abort },
-    Given { command: "release --yes", order: |_| Order::Release(Channels::Both) },
-    Given { command: "confirm-gripper", order: |_| Order::ConfirmGripper },
-    Given { command: "calibrate (at the page)", order: |_| Order::Calibrate },
-    Given { command: "recover", order: |_| Order::Recover(WayBack::Show) },
-    Given { command: "recover --place", order: |_| Order::Recover(WayBack::Place) },
-    Given { command: "recover --hold", order: |_| Order::Recover(WayBack::Hold) },
-    Given { command: "recover --release", order: |_| Order::Recover(WayBack::Release) },
-    Given { command: "recover --retreat", order: |_| Order::Recover(WayBack::Retreat) },
+    Given { command: "arm", order: |_, _| Order::Arm },
+    Given { command: "disarm", order: |_, _| Order::Disarm },
+    Given { command: "approve", order: |id, plan| Order::Approve { id, plan } },
+    Given { command: "reject", order: |id, _| Order::Reject(id) },
+    Given { command: "cancel", order: |id, _| Order::Cancel(id) },
+    Given { command: "pause", order: |_, _| Order::Pause },
+    Given { command: "resume", order: |_, _| Order::Resume },
+    Given { command: "step", order: |_, _| Order::Step },
+    Given { command: "park", order: |_, _| Order::Park },
+    Given { command: "abort", order: |_, _| Order::Abort },
+    Given { command: "release --yes", order: |_, _| Order::Release(Channels::Both) },
+    Given { command: "confirm-gripper", order: |_, _| Order::ConfirmGripper },
+    Given { command: "calibrate (at the page)", order: |_, _| Order::Calibrate },
+    Given { command: "recover", order: |_, _| Order::Recover(WayBack::Show) },
+    Given { command: "recover --place", order: |_, _| Order::Recover(WayBack::Place) },
+    Given { command: "recover --hold", order: |_, _| Order::Recover(WayBack::Hold) },
+    Given { command: "recover --release", order: |_, _| Order::Recover(WayBack::Release) },
+    Given { command: "recover --retreat", order: |_, _| Order::Recover(WayBack::Retreat) },
 ];
 
 /// Every state: what the cell does, what of it is missing, what keeps it.
@@ -166,7 +167,8 @@ pub fn case(stage: &Stage, state: &State, given: &Given) -> Result<Found, String
     let ended = pair.reports().len();
     let active = pair.store().active().unwrap_or("none").to_string();
     pair.take_replies();
-    let number = pair.order((given.order)(active));
+    let plan = last_plan(&pair);
+    let number = pair.order((given.order)(active, plan));
     let mut reply = None;
     let end = pair.seconds() + ANSWER_WITHIN_S;
     while reply.is_none() && pair.seconds() < end {

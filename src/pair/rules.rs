@@ -288,6 +288,8 @@ impl Rules {
             | Event::Job(_)
             | Event::Round(_)
             | Event::Order(..)
+            | Event::OrdersReach(_)
+            | Event::HeldUp(_)
             | Event::Shutdown => {}
         }
     }

@@ -10,11 +10,17 @@ use crate::pair::work::job;
 use crate::pair::{Choice, Pair, PairError};
 use cell_machine::code::JobStatus;
 use cell_machine::orders::Order;
+use cell_machine::supervisor::cell::Supervisor;
 use cell_machine::supervisor::model::CellModel;
 use rearrange::geometry::pose::Pose2;
 use std::collections::BTreeMap;
 use ur_sim::faults::Planned;
 use ur_sim::world::lock;
+
+/// Number of the plan that was made last.
+pub(super) fn last_plan(pair: &Pair) -> u64 {
+    pair.machine().supervisor().map_or(0, Supervisor::last_plan)
+}
 
 /// Simulated seconds after which a job that has not ended is a fault of celld.
 const JOB_WITHIN_S: f64 = 600.0;

@@ -12,7 +12,7 @@ use crate::pair::outcome::{Outcome, Phase};
 use crate::pair::page::{reaction, title};
 use crate::pair::reactions::{Cause, ROWS, Row};
 use crate::pair::rules::Rule;
-use crate::pair::run::{bring_up, true_poses};
+use crate::pair::run::{bring_up, last_plan, true_poses};
 use crate::pair::stage::Stage;
 use crate::pair::work::job;
 use crate::pair::{Adapter, Choice, Loss, Pair};
@@ -200,7 +200,8 @@ fn approve(pair: &mut Pair) -> bool {
     if phase_of(pair) != Some(Phase::Approve) {
         return false;
     }
-    pair.order(Order::Approve { id: job, plan: None });
+    let plan = last_plan(pair);
+    pair.order(Order::Approve { id: job, plan });
     pair.run_until(2.0, |pair| phase_of(pair) != Some(Phase::Approve));
     true
 }

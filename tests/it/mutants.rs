@@ -6,6 +6,7 @@
 use cell_machine::device::gripper_types::{Channels, ModbusRequest};
 use cell_machine::device::robot_types::Link;
 use cell_machine::event::{Effect, Event, News};
+use cell_machine::intake::Origin;
 use cell_machine::machine::Machine;
 use cell_machine::orders::{Order, Reply};
 use cell_machine::supervisor::status::{Doing, WorkStep};
@@ -141,10 +142,10 @@ impl Mutant {
 impl Adapter for Mutant {
     fn event(&mut self, event: Event, events: &mut Vec<Event>) {
         match (self.fault, event) {
-            (Fault::DisarmIgnored, Event::Order(number, Order::Disarm)) => self.ignored = Some(number),
-            (Fault::StoppedTooSoon, Event::Order(number, Order::Abort)) => {
+            (Fault::DisarmIgnored, Event::Order(number, Order::Disarm, _)) => self.ignored = Some(number),
+            (Fault::StoppedTooSoon, Event::Order(number, Order::Abort, origin)) => {
                 (self.ignored, self.answered) = (Some(number), Some(number));
-                events.push(Event::Order(number, Order::Abort));
+                events.push(Event::Order(number, Order::Abort, origin));
             }
             (Fault::SightOld, Event::Observed(number, Ok(seen))) => {
                 self.seen = Some(seen.clone());
@@ -240,7 +241,7 @@ impl Adapter for Mutant {
                 made_up.push(Event::Received(Link::Primary, EMPTY_STATE.to_vec()));
             }
             Fault::ArmsItself if !armed && self.frames == self.stopped + 500 => {
-                made_up.push(Event::Order(999_999, Order::Arm));
+                made_up.push(Event::Order(999_999, Order::Arm, Origin::OWN));
             }
             _ => {}
         }

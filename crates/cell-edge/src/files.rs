@@ -5,6 +5,7 @@
 //! is atomic but not durable until the folder is synced; without the first fsync a crash may leave an empty
 //! file.
 
+use crate::reserve::with_spare;
 use rustix::fs::{CWD, OFlags, RenameFlags};
 use std::fs::{File, OpenOptions, Permissions};
 use std::io::{self, Read, Write};
@@ -173,11 +174,8 @@ fn unfit(path: &Path, problem: Unfit) -> FileError {
 /// Opens without ever waiting, and looks again at what was opened: the name may have changed hands.
 fn open_regular(path: &Path, further: OFlags) -> Result<(File, std::fs::Metadata), FileError> {
     let flags = OFlags::NONBLOCK | OFlags::CLOEXEC | further;
-    let file = OpenOptions::new()
-        .read(true)
-        .custom_flags(flags.bits().cast_signed())
-        .open(path)
-        .map_err(|e| FileError::io("open", path, e))?;
+    let open = || OpenOptions::new().read(true).custom_flags(flags.bits().cast_signed()).open(path);
+    let file = with_spare(open).map_err(|e| FileError::io("open", path, e))?;
     let metadata = file.metadata().map_err(|e| FileError::io("look at", path, e))?;
     if metadata.is_file() { Ok((file, metadata)) } else { Err(unfit(path, Unfit::NotRegular)) }
 }
@@ -214,15 +212,28 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
 /// # Errors
 /// As [`write_atomic`].
 pub fn write_secret(path: &Path, bytes: &[u8], for_the_group: bool) -> Result<(), FileError> {
+    let draft = secret_draft(path, bytes, for_the_group)?;
+    draft.as_file().sync_all().map_err(|e| FileError::io("write", path, e))?;
+    replace(path, draft)?;
+    sync_folder(parent(path))
+}
+
+fn secret_draft(path: &Path, bytes: &[u8], for_the_group: bool) -> Result<NamedTempFile, FileError> {
     let draft = draft(path, &[])?;
     let mut file = draft.as_file();
     let mode = if for_the_group { FOR_THE_GROUP } else { FOR_ONE };
     let fail = |e| FileError::io("write", path, e);
     file.set_permissions(Permissions::from_mode(mode)).map_err(fail)?;
     file.write_all(bytes).map_err(fail)?;
-    file.sync_all().map_err(fail)?;
-    replace(path, draft)?;
-    sync_folder(parent(path))
+    Ok(draft)
+}
+
+/// The same for what not everyone may read, without a sync: an answer that one process waits for.
+///
+/// # Errors
+/// As [`write_whole`].
+pub fn write_answer(path: &Path, bytes: &[u8], for_the_group: bool) -> Result<(), FileError> {
+    replace(path, secret_draft(path, bytes, for_the_group)?)
 }
 
 /// The same without a sync: whole at any time, and after a power cut perhaps an old one or none. For what is
@@ -258,11 +269,8 @@ pub fn write_new(
     bytes: &[u8],
 ) -> Result<String, FileError> {
     let draft = draft(&folder.join("new"), bytes)?;
-    let (file, fail) = (draft.as_file(), |e| FileError::io("write", draft.path(), e));
-    if folder.metadata().map_err(fail)?.mode() & SETGID != 0 {
-        file.set_permissions(Permissions::from_mode(FOR_THE_GROUP)).map_err(fail)?;
-    }
-    file.sync_all().map_err(fail)?;
+    share_with_group(folder, draft.as_file(), draft.path())?;
+    draft.as_file().sync_all().map_err(|e| FileError::io("write", draft.path(), e))?;
     let mut refused = None;
     for name in names {
         match rename_new(draft.path(), &folder.join(&name)) {
@@ -275,16 +283,27 @@ pub fn write_new(
     Err(refused.unwrap_or_else(none))
 }
 
+/// In a folder that is shared with a group, what is written is readable by it, whatever the umask.
+pub(crate) fn share_with_group(folder: &Path, file: &File, path: &Path) -> Result<(), FileError> {
+    let fail = |e| FileError::io("write", path, e);
+    if folder.metadata().map_err(fail)?.mode() & SETGID != 0 {
+        file.set_permissions(Permissions::from_mode(FOR_THE_GROUP)).map_err(fail)?;
+    }
+    Ok(())
+}
+
 /// A hidden file beside `path` with `bytes` in it, removed when it is dropped. Its name cannot be foreseen
 /// and it is created exclusively: who may write in the same folder cannot lay a link in its way.
 pub(crate) fn draft(path: &Path, bytes: &[u8]) -> Result<NamedTempFile, FileError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let mut draft = tempfile::Builder::new()
-        .prefix(&format!(".{name}."))
-        .suffix(DRAFT_SUFFIX)
-        .permissions(Permissions::from_mode(BEFORE_UMASK))
-        .tempfile_in(parent(path))
-        .map_err(|e| FileError::io("create", path, e))?;
+    let make = || {
+        tempfile::Builder::new()
+            .prefix(&format!(".{name}."))
+            .suffix(DRAFT_SUFFIX)
+            .permissions(Permissions::from_mode(BEFORE_UMASK))
+            .tempfile_in(parent(path))
+    };
+    let mut draft = with_spare(make).map_err(|e| FileError::io("create", path, e))?;
     draft.write_all(bytes).map_err(|e| FileError::io("write", path, e))?;
     Ok(draft)
 }

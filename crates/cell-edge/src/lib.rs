@@ -1,15 +1,19 @@
 //! The edge that the processes of a cell share: the clock that both sides follow (`clock`), thread
 //! priorities (`priority`), files that survive a power cut (`files`) or belong together (`together`), a lock
-//! with one holder (`file_lock`), whose program calls (`peer`), what a command prints, reads and logs
-//! (`terminal`).
+//! with one holder (`file_lock`), a folder for short messages between processes (`mailbox`), file handles in
+//! reserve (`reserve`), whose program calls (`peer`), what a command prints and reads (`terminal`), a log
+//! that nobody waits for (`log`).
 //!
 //! Everything here touches the machine it runs on; what is computed from it lies elsewhere.
 
 pub mod clock;
 pub mod file_lock;
 pub mod files;
+pub mod log;
+pub mod mailbox;
 pub mod peer;
 pub mod priority;
+pub mod reserve;
 pub mod terminal;
 pub mod together;
 

@@ -1,4 +1,4 @@
-//! What every command does at the terminal: print, complain, read a file that was named, keep a log.
+//! What every command does at the terminal: print, complain, read a file that was named.
 //!
 //! In: text, paths. Out: text on standard output and standard error, or one line that says why a file cannot
 //! be read or a value cannot be used.
@@ -8,8 +8,8 @@ use std::borrow::Cow;
 use std::io::{IsTerminal, Write};
 use std::ops::RangeInclusive;
 use std::path::Path;
-use tracing_subscriber::layer::SubscriberExt;
-use tracing_subscriber::util::SubscriberInitExt;
+use std::sync::mpsc::channel;
+use std::time::Duration;
 
 /// Larger files are nothing that a command reads; they would only fill the memory.
 pub const LARGEST_FILE_BYTES: u64 = 32 << 20;
@@ -39,6 +39,19 @@ pub fn prints(text: &str) -> bool {
 /// Writes complaints and progress to standard error, without what a terminal would obey.
 pub fn complain(text: &str) {
     let _ = writeln!(std::io::stderr().lock(), "{}", harmless(text));
+}
+
+/// The same for a process that must end whatever the terminal does: one that takes nothing is left alone
+/// after `limit`.
+pub fn complain_within(text: &str, limit: Duration) {
+    let (done, written) = channel();
+    let text = text.to_owned();
+    // The thread ends with the process.
+    std::thread::spawn(move || {
+        complain(&text);
+        let _ = done.send(());
+    });
+    let _ = written.recv_timeout(limit);
 }
 
 /// A path as a word of a command that a person may copy into a shell.
@@ -78,62 +91,10 @@ pub fn within(text: &str, range: RangeInclusive<f64>, unit: &str) -> Result<f64,
     }
 }
 
-/// systemd's journal, with what a line is about as fields of their own (`JOB`, `STEP`, `UID`); `None` where
-/// there is no journal.
-fn journal() -> Option<tracing_journald::Layer> {
-    tracing_journald::layer().ok().map(|layer| layer.with_field_prefix(None))
-}
-
-/// True where standard error goes into the journal: systemd names device and inode of the stream
-/// (`systemd.exec(5)`, `JOURNAL_STREAM`).
-fn stderr_is_journal() -> bool {
-    let stream = std::env::var("JOURNAL_STREAM").unwrap_or_default();
-    rustix::fs::fstat(std::io::stderr()).is_ok_and(|stat| names(&stream, stat.st_dev, stat.st_ino))
-}
-
-/// `stream` is this device and inode.
-fn names(stream: &str, device: u64, inode: u64) -> bool {
-    stream.split_once(':').is_some_and(|(d, i)| d.parse() == Ok(device) && i.parse() == Ok(inode))
-}
-
-/// Logs go to stderr, each line with its date, or into systemd's journal where stderr does; `CELLD_LOG`
-/// chooses what (`warn`, `celld::daemon=debug`, ...)
-/// in place of `usual`. A `CELLD_LOG` that cannot be read counts as none, and that is reported.
-pub fn start_log(usual: &str) {
-    let wanted = std::env::var("CELLD_LOG").ok().filter(|wanted| !wanted.is_empty());
-    let read = wanted.as_deref().map(tracing_subscriber::EnvFilter::try_new);
-    let (filter, fault) = match read {
-        Some(Ok(filter)) => (filter, None),
-        Some(Err(error)) => (tracing_subscriber::EnvFilter::new(usual), Some(error)),
-        None => (tracing_subscriber::EnvFilter::new(usual), None),
-    };
-    let log = tracing_subscriber::registry().with(filter);
-    match journal().filter(|_| stderr_is_journal()) {
-        Some(journal) => log.with(journal).init(),
-        None => {
-            // A file gets no colours.
-            let ansi = std::io::stderr().is_terminal();
-            let lines = tracing_subscriber::fmt::layer().with_target(false).with_ansi(ansi);
-            log.with(lines.with_writer(std::io::stderr)).init();
-        }
-    }
-    if let Some(error) = fault {
-        complain(&format!("CELLD_LOG cannot be read ({error}); logging {usual}"));
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{harmless, in_shell, names};
+    use super::{harmless, in_shell};
     use std::path::Path;
-
-    #[test]
-    fn the_journal_s_stream_is_known_by_device_and_inode() {
-        assert!(names("9:4711", 9, 4711));
-        for other in ["", "9", "9:4712", "8:4711", "9:4711:1", "x:y"] {
-            assert!(!names(other, 9, 4711), "{other}");
-        }
-    }
 
     #[test]
     fn a_path_is_one_word_of_a_command() {

@@ -131,6 +131,8 @@ pub enum Code {
     RecordingEnded,
     DetectionFailed,
     JournalFailed,
+    OrdersUnreachable,
+    HeldUp,
     Interrupted,
     InterruptedCarrying,
     Syntax,
@@ -216,7 +218,7 @@ impl Code {
 }
 
 /// Places, words and meanings, in the order of the enum.
-const TABLE: [(Code, Place, &str, &str); 84] = [
+const TABLE: [(Code, Place, &str, &str); 86] = [
     (Code::Done, Place::Result, "done", "every object is at its goal, and the camera shows it"),
     (Code::Cancelled, Place::Result, "cancelled", "a person cancelled the job"),
     (Code::PlanRejected, Place::Result, "plan_rejected", "a person rejected the plan"),
@@ -380,6 +382,8 @@ const TABLE: [(Code, Place, &str, &str); 84] = [
     ),
     (Code::DetectionFailed, Place::Result, "detection_failed", "the marker detector failed"),
     (Code::JournalFailed, Place::Result, "journal_failed", "the journal cannot be written"),
+    (Code::OrdersUnreachable, Place::Result, "orders_unreachable", "orders did not reach celld for 1 s"),
+    (Code::HeldUp, Place::Result, "held_up", "celld itself was stopped or held up for more than 1 s"),
     (
         Code::Interrupted,
         Place::Result,

@@ -6,6 +6,7 @@
 
 use crate::device::gripper_types::{ModbusFailure, ModbusRequest};
 use crate::device::robot_types::Link;
+use crate::intake::{Origin, Unreachable};
 use crate::orders::{Order, Reply};
 use crate::supervisor::input::{CameraFault, Notice, PlanAnswer, PlanRequest, Record};
 use crate::supervisor::mode::EndFault;
@@ -13,6 +14,7 @@ use crate::supervisor::model::CellModel;
 use crate::supervisor::order::{JobOrder, JobReport, RouteAction};
 use crate::supervisor::round::{RoundFault, RoundOrder};
 use crate::supervisor::status::Status;
+use cell_values::time::Duration;
 use cell_vision::foreign::HeldBody;
 use cell_vision::observe::{Observation, PartialLook, View};
 use nalgebra::Isometry3;
@@ -58,7 +60,11 @@ pub enum Event {
     /// A calibration round is to be carried out.
     Round(Box<RoundOrder>),
     /// An operator's order; its answer is [`Effect::Reply`] with this number.
-    Order(u64, Order),
+    Order(u64, Order, Origin),
+    /// Orders do not reach the cell, or do again.
+    OrdersReach(Option<Unreachable>),
+    /// The loop did not come round for so long: the process was stopped, or the computer was overloaded.
+    HeldUp(Duration),
     /// The daemon is to end.
     Shutdown,
 }

@@ -2,7 +2,8 @@
 //!
 //! `machine`: [`machine::Machine`], the one thing that a shell drives. `event`: what goes in, what comes
 //! out. `device`: the sessions with robot and gripper. `links`: when a connection is made anew.
-//! `supervisor`: what the cell does next. `orders`: what a person may order, and the answer. `planner`: a
+//! `supervisor`: what the cell does next. `orders`: what a person may order, and the answer.
+//! `intake`: what of an order is judged before it is decided. `planner`: a
 //! plan request answered, with `plan_check` for what the arm can do of a plan and `quickest`
 //! for the order of its moves. `views`: from where the
 //! camera sees which part of the table. `times`: where a job's time goes. `code`: the words for how a job
@@ -12,6 +13,7 @@
 pub mod code;
 pub mod device;
 pub mod event;
+pub mod intake;
 pub mod links;
 pub mod machine;
 mod notified;

@@ -15,6 +15,7 @@ use crate::device::robot_types::{
     InputsTaken, KnownRobot, Link, RobotCommand, RobotEvent, RobotIdentity, RobotParameters, RobotState,
 };
 use crate::event::{Arm, Effect, Event, News};
+use crate::intake::refusal;
 use crate::links::{Connections, Wish};
 use crate::notified::{Notified, RESTS_AFTER};
 use crate::orders::Reply;
@@ -143,7 +144,12 @@ impl Machine {
                 self.inputs.push_back(Input::Job(order));
             }
             Event::Round(order) => self.inputs.push_back(Input::Round(order)),
-            Event::Order(number, order) => self.inputs.push_back(Input::Order { number, order }),
+            Event::Order(number, order, origin) => match refusal(&order, origin) {
+                Some(reply) => self.effects.push_back(Effect::Reply { number, reply }),
+                None => self.inputs.push_back(Input::Order { number, order }),
+            },
+            Event::OrdersReach(fault) => self.inputs.push_back(Input::OrdersReach(fault)),
+            Event::HeldUp(gap) => self.inputs.push_back(Input::HeldUp(gap)),
             Event::Shutdown => self.inputs.push_back(Input::Shutdown),
         }
     }
@@ -246,17 +252,8 @@ impl Machine {
             self.inputs.push_back(Input::Robot(event));
         }
         while let Some(event) = self.gripper.poll_event() {
-            match event {
-                GripperEvent::Answering => self.gripper_answers = true,
-                GripperEvent::Unreachable { .. } => self.gripper_answers = false,
-                GripperEvent::Gripped { .. }
-                | GripperEvent::GripFailed { .. }
-                | GripperEvent::Released
-                | GripperEvent::ReleaseFailed { .. }
-                | GripperEvent::VacuumWeak { .. }
-                | GripperEvent::VacuumLost { .. }
-                | GripperEvent::Refused
-                | GripperEvent::Reading { .. } => {}
+            if let GripperEvent::Answering | GripperEvent::Unreachable { .. } = event {
+                self.gripper_answers = event == GripperEvent::Answering;
             }
             self.inputs.push_back(Input::Gripper(event));
         }
@@ -353,6 +350,8 @@ impl Machine {
             | Input::Planned(_)
             | Input::Pictured(_)
             | Input::Committed { .. }
+            | Input::OrdersReach(_)
+            | Input::HeldUp(_)
             | Input::Job(_)
             | Input::Round(_) => {}
         }

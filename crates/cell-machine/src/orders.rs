@@ -21,8 +21,8 @@ pub enum Order {
     Approve {
         /// The job.
         id: String,
-        /// Which of its plans was shown, by its number; absent: the one that waits, whichever it is.
-        plan: Option<u64>,
+        /// Which of its plans was shown, by its number.
+        plan: u64,
     },
     /// It may not.
     Reject(String),

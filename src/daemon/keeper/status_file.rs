@@ -7,7 +7,9 @@ use super::StateKeeper;
 use crate::config::sessions::gripper_address;
 use crate::jobs::status;
 use cell_edge::clock::unix_now_s;
+use cell_machine::intake::HELD_UP_AFTER;
 use cell_machine::supervisor::status::{Device, DeviceNote, Doing, Status};
+use cell_values::time::Duration;
 
 impl StateKeeper {
     /// Writes the status; a disk that does not take it is logged.
@@ -23,13 +25,18 @@ impl StateKeeper {
         let total = status.moves + status.remaining_moves;
         let number = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
         let disk = self.disk.low().filter(|_| status.job.is_none());
-        let hint = match &disk {
-            Some(_) if status.hint.is_empty() => "make room on that disk; then jobs go on by themselves",
-            _ => &status.hint,
+        let late = loop_late(self.last_answers.loop_age());
+        let hint = match (&late, &disk) {
+            (Some(_), _) => LOOP_LATE_HINT,
+            (None, Some(_)) if status.hint.is_empty() => {
+                "make room on that disk; then jobs go on by themselves"
+            }
+            (None, _) => &status.hint,
         };
-        let message = match &disk {
-            Some(low) => format!("{}; no job is begun: {low}", status.text()),
-            None => status.text(),
+        let message = match (&late, &disk) {
+            (Some(late), _) => format!("{late}; before that: {}", status.text()),
+            (None, Some(low)) => format!("{}; no job is begun: {low}", status.text()),
+            (None, None) => status.text(),
         };
         status::Status {
             daemon: self.daemon.clone(),
@@ -37,7 +44,7 @@ impl StateKeeper {
             started_unix_s: self.started_unix_s,
             written_unix_s: unix_now_s(),
             state: if is_working(status) { "working" } else { "idle" }.to_string(),
-            blocked: disk.clone(),
+            blocked: late.or(disk),
             message,
             armed: status.armed,
             moving: status.moving,
@@ -85,6 +92,15 @@ impl StateKeeper {
         let (name, message) = (device.as_str().to_string(), message.clone());
         status::DeviceStatus { name, address, identity, ready: *ready, age_s, message }
     }
+}
+
+/// What to do about a loop that hangs: no order reaches the machine.
+const LOOP_LATE_HINT: &str = "use the emergency stop if the arm moves, then restart celld";
+
+/// The loop has not come round for too long: what the status says of the cell is old.
+fn loop_late(age: Duration) -> Option<String> {
+    (age > HELD_UP_AFTER)
+        .then(|| format!("celld does not respond: its loop has stood still for {} s", age.as_secs()))
 }
 
 /// A job is active, or the arm is on the way without one, or will be as soon as a gate opens.

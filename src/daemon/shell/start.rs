@@ -4,7 +4,8 @@
 //! once when that changes and again every minute: nothing is silent for long, and a robot that
 //! is switched on an hour later is waited for.
 
-use super::{NoObserver, Shell, StartError};
+use super::scene::NoObserver;
+use super::{Shell, StartError};
 use cell_machine::event::Arm;
 use cell_values::time::Timestamp;
 use std::time::Duration;

@@ -13,11 +13,13 @@ mod schema;
 mod steps;
 #[cfg(test)]
 mod tests;
+pub mod watch;
 
 use crate::jobs::history::JobFilter;
 use crate::jobs::journal::claim::free_id;
 use crate::jobs::journal::rows::{JobRow, encode, interrupted, job_columns, job_row, source_text, storable};
 use crate::jobs::journal::schema::{MIGRATIONS, SCHEMA, SCHEMA_VERSION};
+use crate::jobs::journal::watch::Seen;
 use crate::jobs::record::{GoalPose, JobRecord, JobResult, JobState, PlanRecord, StepRecord, moves_made};
 use rusqlite::{Connection, ErrorCode, OpenFlags, OptionalExtension, Transaction, params};
 use std::path::{Path, PathBuf};
@@ -74,6 +76,14 @@ pub enum JournalError {
         /// What was requested.
         action: &'static str,
     },
+    /// SQLite finds pages that do not fit together.
+    #[error("journal {path} is damaged: {found}; `celld journal repair` keeps what can be read")]
+    Broken {
+        /// The file.
+        path: PathBuf,
+        /// SQLite's first complaint.
+        found: String,
+    },
     /// A row that this program cannot have written.
     #[error("journal {path}: column {column} holds {value:?}, which no celld writes")]
     Damaged {
@@ -84,6 +94,24 @@ pub enum JournalError {
         /// What was there.
         value: String,
     },
+}
+
+impl JournalError {
+    /// The file itself is damaged, or is no database: `celld journal repair` is the way on.
+    pub fn is_damage(&self) -> bool {
+        match self {
+            JournalError::Broken { .. } => true,
+            JournalError::Database { source, .. } => matches!(
+                source.sqlite_error_code(),
+                Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase)
+            ),
+            JournalError::Version { .. }
+            | JournalError::UnknownJob { .. }
+            | JournalError::WrongState { .. }
+            | JournalError::WrongStep { .. }
+            | JournalError::Damaged { .. } => false,
+        }
+    }
 }
 
 /// What was done about a job that was unfinished when celld ended.
@@ -171,6 +199,8 @@ pub struct Journal {
     path: PathBuf,
     /// Of the database; less than [`SCHEMA_VERSION`] in a reader of one that no daemon has opened since.
     version: i64,
+    /// The file at the last look.
+    seen: Option<Seen>,
 }
 
 impl Journal {
@@ -187,7 +217,8 @@ impl Journal {
         database
             .execute_batch("PRAGMA journal_mode=WAL; PRAGMA synchronous=FULL; PRAGMA foreign_keys=ON;")
             .map_err(fail)?;
-        let mut journal = Journal { database, path: path.to_owned(), version: SCHEMA_VERSION };
+        let mut journal = Journal { database, path: path.to_owned(), version: SCHEMA_VERSION, seen: None };
+        journal.check_pages()?;
         match journal.read_version()? {
             0 => journal.create()?,
             SCHEMA_VERSION => {}
@@ -227,7 +258,7 @@ impl Journal {
         let database = Connection::open_with_flags(name, flags).map_err(fail)?;
         database.busy_timeout(Duration::from_secs(5)).map_err(fail)?;
         database.execute_batch("PRAGMA query_only=ON;").map_err(fail)?;
-        let mut journal = Journal { database, path: path.to_owned(), version: SCHEMA_VERSION };
+        let mut journal = Journal { database, path: path.to_owned(), version: SCHEMA_VERSION, seen: None };
         match journal.read_version()? {
             version @ 1..=SCHEMA_VERSION => {
                 journal.version = version;

@@ -69,6 +69,7 @@ impl Supervisor {
             | GateClosed::Program
             | GateClosed::Paused
             | GateClosed::NotPlaying(_)
+            | GateClosed::Orders(_)
             | GateClosed::Disarmed
             | GateClosed::Locked(_)
             | GateClosed::Holding
@@ -188,6 +189,7 @@ fn opens_by_bring_up(closed: &GateClosed) -> bool {
         | GateClosed::Local
         | GateClosed::Paused
         | GateClosed::NotPlaying(_)
+        | GateClosed::Orders(_)
         | GateClosed::Disarmed
         | GateClosed::Locked(_)
         | GateClosed::Gripper

@@ -10,6 +10,7 @@ use crate::code::{Code, JobStatus};
 use crate::device::gripper_types::{Channels, GripperEvent};
 use crate::device::program::Nonce;
 use crate::device::robot_types::{KnownRobot, RobotCommand, RobotEvent};
+use crate::intake::Unreachable;
 use crate::orders::Order;
 use crate::supervisor::back::{Back, LastStop};
 use crate::supervisor::gates::{self, GateClosed, motion_speed};
@@ -92,6 +93,7 @@ pub struct Supervisor {
     pub(crate) ended: bool,
     /// Commands to the arm that wait for a paused program.
     pub(crate) held_back: Vec<Action>,
+    pub(crate) unreachable: Option<Unreachable>,
 }
 
 impl Supervisor {
@@ -134,11 +136,12 @@ impl Supervisor {
             arms_when_open: false,
             ended: false,
             held_back: Vec::new(),
+            unreachable: None,
         }
     }
 
-    /// Arms the cell without a person, once, when everything that arming needs is there: for simulated cells
-    /// only, as the configuration checks. A stop or an order to disarm before that takes it back.
+    /// Arms a simulated cell without a person, once, when everything that arming needs is there. A stop or
+    /// an order to disarm before that takes it back.
     pub fn arm_at_start(&mut self) {
         self.arms_when_open = true;
     }
@@ -167,6 +170,11 @@ impl Supervisor {
     /// The cell as configured.
     pub fn model(&self) -> &CellModel {
         &self.model
+    }
+
+    /// Number of the plan that was made last: what an approval has to name.
+    pub fn last_plan(&self) -> u64 {
+        self.plans
     }
 
     /// The number that identifies the next program.
@@ -203,6 +211,8 @@ impl Supervisor {
             | Input::Pictured(_)
             | Input::Committed { .. }
             | Input::StoreLost(_)
+            | Input::OrdersReach(_)
+            | Input::HeldUp(_)
             | Input::Job(_)
             | Input::Round(_)
             | Input::Shutdown => None,
@@ -233,6 +243,8 @@ impl Supervisor {
             Input::Planned(answer) => self.on_planned(now, *answer, &mut out),
             Input::Committed { number, result } => self.on_committed(now, devices, number, result, &mut out),
             Input::StoreLost(fault) => self.on_store_lost(now, fault, &mut out),
+            Input::OrdersReach(fault) => self.on_orders_reach(now, fault, &mut out),
+            Input::HeldUp(gap) => self.on_held_up(now, gap, &mut out),
             Input::Job(order) => self.on_job(now, *order, &mut out),
             Input::Round(order) => self.on_round(now, devices, *order, &mut out),
             Input::Order { number, order } => return self.on_order(now, devices, number, order),

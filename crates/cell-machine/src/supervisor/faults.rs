@@ -26,6 +26,9 @@ const SAME_STOP: Duration = Duration::from_secs(5);
 /// How long the arm may take to stop after the order to end.
 const STOP_WITHIN: Duration = Duration::from_secs(3);
 
+/// The way on with a journal that cannot be used.
+const REPAIR_HINT: &str = "stop celld, then `celld journal repair`, then start celld again";
+
 /// How long the end waits for the gripper's word on a release that a person ordered.
 const RELEASE_WITHIN: Duration = Duration::from_secs(6);
 
@@ -192,8 +195,8 @@ impl Supervisor {
         self.note_for_the_way_back(now, &event);
         let Some(reason) = self.fault_of(devices, event) else { return };
         let moves = self.moving() || matches!(self.phase, Phase::BringUp(_));
-        if reason.code == Code::HeartbeatLost && self.job_outlives_a_stop() && self.mode.armed() {
-            self.stop_and_keep_the_job(now, reason, out);
+        if reason.code == Code::HeartbeatLost {
+            self.interrupt(now, reason, out);
         } else if moves {
             self.stop_what_has_begun(now, JobStatus::Interrupted, reason, out);
         } else {
@@ -203,7 +206,7 @@ impl Supervisor {
 
     /// Something happened to the robot while nothing moved: people who were in the cell since then have to
     /// arm it again before it moves.
-    fn stand_down(&mut self, now: Timestamp, reason: Reason, out: &mut Vec<Action>) {
+    pub(crate) fn stand_down(&mut self, now: Timestamp, reason: Reason, out: &mut Vec<Action>) {
         self.seen = None;
         self.mode.set_park(false);
         let locked = matches!(self.mode, Mode::Locked(_));
@@ -269,8 +272,16 @@ impl Supervisor {
 
     /// Nothing can be written any more: without the journal no motion may be ordered.
     pub(crate) fn on_store_lost(&mut self, now: Timestamp, fault: EndFault, out: &mut Vec<Action>) {
-        if matches!(self.mode, Mode::Ending { fault: Some(_), .. }) {
+        if matches!(self.mode, Mode::Ending { fault: Some(_), .. }) || self.ledger.is_given_up() {
             return;
+        }
+        if let EndFault::Damaged(what) = fault {
+            // celld stays: what is held is watched, and the page shows why nothing moves.
+            self.ledger.give_up();
+            let reason = Code::JournalFailed.because(what, REPAIR_HINT);
+            let locked = format!("{}; {REPAIR_HINT}", reason.message);
+            self.stop_all(now, JobStatus::Interrupted, reason, out);
+            return self.mode.lock(locked);
         }
         let reason = Code::JournalFailed.because(fault.to_string(), "check the disk, then start celld again");
         self.stop_all(now, JobStatus::Interrupted, reason, out);

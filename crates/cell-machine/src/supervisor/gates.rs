@@ -6,6 +6,7 @@
 
 use crate::device::program::Nonce;
 use crate::device::robot_types::Link;
+use crate::intake::Unreachable;
 use crate::supervisor::input::DeviceSnapshot;
 use crate::supervisor::safety_words::{mode_words, safety_hint, safety_words};
 use serde::{Deserialize, Serialize};
@@ -47,6 +48,7 @@ impl GateClosed {
             GateClosed::Program => "look at the pendant for the program's error, then `celld arm`",
             GateClosed::Paused => "press play at the pendant, or `celld abort`",
             GateClosed::NotPlaying(_) => "look at the pendant for what the program does, or `celld abort`",
+            GateClosed::Orders(_) => "put the state folder back or restart celld",
             GateClosed::Disarmed => "`celld arm` once the cell is clear",
             GateClosed::Locked(_) => "the cell cannot be armed before that",
             GateClosed::Gripper => {
@@ -93,6 +95,9 @@ pub enum GateClosed {
     /// The program neither plays nor is paused.
     #[error("the program does not play: the controller is {0}")]
     NotPlaying(String),
+    /// Orders do not reach the cell.
+    #[error("orders do not reach celld: {0}")]
+    Orders(Unreachable),
     /// The cell was not armed.
     #[error("the cell is disarmed")]
     Disarmed,

@@ -222,6 +222,7 @@ impl Supervisor {
     /// Arming needs that nothing may hang on the gripper, besides what was just put down and is looked at
     /// first.
     pub(crate) fn may_arm(&self, devices: &DeviceSnapshot) -> Result<(), GateClosed> {
+        self.orders_reach()?;
         gates::arming(devices)?;
         if !self.model.gripper_confirmed {
             return Err(GateClosed::GripperUnconfirmed);

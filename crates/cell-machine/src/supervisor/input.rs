@@ -3,6 +3,7 @@
 use crate::code::Code;
 use crate::device::gripper_types::{GripperCommand, GripperEvent};
 use crate::device::robot_types::{Link, RobotCommand, RobotEvent, RobotState};
+use crate::intake::Unreachable;
 use crate::orders::{Order, Reply};
 use crate::plan_check::{OutOfReach, PlanLimits};
 use crate::supervisor::mode::EndFault;
@@ -124,6 +125,10 @@ pub enum Input {
         /// What is wanted.
         order: Order,
     },
+    /// Orders do not reach the cell, or do again.
+    OrdersReach(Option<Unreachable>),
+    /// The loop did not come round for so long.
+    HeldUp(Duration),
     /// The daemon is to end: stop the arm, leave the job in a named state.
     Shutdown,
 }

@@ -20,6 +20,8 @@ pub(crate) struct Ledger {
     last: u64,
     open: VecDeque<(u64, Timestamp)>,
     reported: bool,
+    /// The journal cannot be used: what is still written counts for nothing.
+    given_up: bool,
 }
 
 /// What is to be said of the disk.
@@ -46,13 +48,32 @@ impl Ledger {
         self.open.retain(|(open, _)| *open != number);
     }
 
-    /// True when everything is on disk.
+    /// Nothing is waited for any more.
+    pub fn give_up(&mut self) {
+        self.open.clear();
+        self.given_up = true;
+    }
+
+    /// The journal was given up.
+    pub fn is_given_up(&self) -> bool {
+        self.given_up
+    }
+
+    /// True when everything is on disk, or nothing can be.
     pub fn is_clear(&self) -> bool {
-        self.open.is_empty()
+        self.open.is_empty() || self.given_up
+    }
+
+    /// Counts from now on for how long entries are on their way: celld itself was held up until now.
+    pub fn start_again(&mut self, now: Timestamp) {
+        self.open.iter_mut().for_each(|(_, since)| *since = now);
     }
 
     /// How the disk does.
     pub fn judge(&mut self, now: Timestamp) -> Disk {
+        if self.given_up {
+            return Disk::Fine;
+        }
         let waits = self.open.front().map_or(Duration::ZERO, |(_, since)| now.since(*since));
         if waits >= SILENT_AFTER {
             return Disk::Silent;
@@ -83,6 +104,8 @@ mod tests {
         assert_eq!(ledger.judge(at(2.3)), Disk::Fine, "the second waits for 0.8 s");
         assert_eq!(ledger.judge(at(2.6)), Disk::Slow);
         assert_eq!(ledger.judge(at(16.5)), Disk::Silent);
+        ledger.start_again(at(16.5));
+        assert_eq!(ledger.judge(at(17.0)), Disk::Fine, "a pause of celld is none of the disk");
         ledger.close(second);
         assert_eq!((ledger.is_clear(), ledger.judge(at(99.0))), (true, Disk::Fine));
     }

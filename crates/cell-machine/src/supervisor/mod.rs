@@ -34,6 +34,7 @@ pub mod order;
 mod paused;
 pub(crate) mod phase;
 mod preview;
+mod reach;
 pub mod reason;
 mod recovery;
 pub mod round;

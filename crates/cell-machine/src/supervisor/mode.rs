@@ -52,6 +52,9 @@ pub enum EndFault {
     /// The disk is silent.
     #[error("nothing could be written to the state folder for {0} s")]
     Silent(u64),
+    /// The journal's file was removed, replaced or damaged.
+    #[error("{0}")]
+    Damaged(String),
     /// A defect of this program.
     #[error("a defect of celld ended what writes to the state folder: please report what was printed above")]
     Failed,

@@ -28,7 +28,7 @@ impl Supervisor {
         match order {
             Order::Arm => return self.on_arm(devices, out),
             Order::Disarm => self.on_disarm(now, devices, number, out),
-            Order::Approve { id, plan: Some(plan) } if *plan != self.plans => {
+            Order::Approve { id, plan } if *plan != self.plans => {
                 return Some(self.another_plan(id));
             }
             Order::Approve { id, .. } => return self.on_verdict(now, id, true, out),

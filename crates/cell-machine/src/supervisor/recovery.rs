@@ -85,7 +85,10 @@ impl Supervisor {
         if !matches!(self.phase, Phase::Ready | Phase::Approve) {
             return Err("a motion or a plan is under way: wait for its end, or `celld abort`".to_string());
         }
-        gates::recovering(devices)
+        let moves = matches!(way, WayBack::Place | WayBack::Retreat);
+        let reached = if moves { self.orders_reach() } else { Ok(()) };
+        reached
+            .and_then(|()| gates::recovering(devices))
             .map_err(|closed| format!("{}; {}", self.place(&closed), closed.hint_to_try_again()))?;
         if !devices.robot.is_some_and(RobotState::stands_still) {
             return Err("the arm moves, and not by celld: see what moves it".to_string());

@@ -574,7 +574,7 @@ fn a_plan_approved_late_waits_for_a_new_look() {
     bench.until_planning();
     bench.plan();
     bench.now += Duration::from_secs(31);
-    let actions = bench.feed(order(Order::Approve { id: "j".into(), plan: None }));
+    let actions = bench.feed(order(bench.approval()));
     let journalled = |all: &[Action]| {
         all.iter().any(|a| matches!(a, Action::Commit { record: Record::Intent { .. }, .. }))
     };
@@ -591,6 +591,7 @@ mod improve;
 mod lapse;
 mod moving;
 mod preview;
+mod reach;
 mod rounds;
 pub(crate) mod set_out;
 mod sight;

@@ -104,7 +104,7 @@ impl Supervisor {
 
     /// What keeps the cell from being armed for a round, and what to do about it.
     fn round_gate(&self, devices: &DeviceSnapshot) -> Option<String> {
-        let closed = gates::arming_for_round(devices).err()?;
+        let closed = self.orders_reach().and_then(|()| gates::arming_for_round(devices)).err()?;
         Some(format!("{}; {}", self.place(&closed), closed.hint_to_try_again()))
     }
 

@@ -25,7 +25,7 @@ enum Command {
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
-    cell_edge::terminal::start_log("error");
+    let _log = cell_edge::log::start("error");
     ExitCode::from(match &cli.command {
         Some(Command::Compare(args)) => compare::run(args),
         None => command::run(&cli.args),

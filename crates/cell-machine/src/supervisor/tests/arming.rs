@@ -350,7 +350,7 @@ fn a_plan_that_comes_after_a_disarming_is_shown_to_no_person() {
     let all = bench.plan();
     let alarmed = |all: &[Action]| all.iter().any(|a| matches!(a, Action::Say(notice) if notice.alarm));
     assert!(!alarmed(&all), "the table may have been changed since: {all:?}");
-    let reply = answer(&bench.feed(order(Order::Approve { id: "j".into(), plan: None }))).expect("an answer");
+    let reply = answer(&bench.feed(order(bench.approval()))).expect("an answer");
     assert!(!reply.accepted, "there is nothing to approve: {reply:?}");
     let reply = answer(&bench.feed(order(Order::Arm))).expect("an answer");
     assert_eq!(

@@ -295,7 +295,7 @@ fn approval_of_the_first_plan_covers_the_next_for_the_same_goal() {
         bench.until_planning();
         assert_eq!(streams(&bench.plan()), 0, "the first plan waits");
         bench.feed(order(Order::Pause));
-        bench.feed(order(Order::Approve { id: "j".into(), plan: None }));
+        bench.feed(order(bench.approval()));
         // Meanwhile the object was moved by hand: the plan does not fit any more.
         bench.at = Pose2::new(0.15, 0.2, 0.0);
         bench.now += Duration::from_secs(40);
@@ -392,7 +392,7 @@ fn an_order_is_answered_by_what_it_led_to() {
     assert!(!reported(&mut bench, Order::Cancel("j".into())).0, "there is no job");
     bench.job(true);
     bench.ticks(20);
-    let early = reported(&mut bench, Order::Approve { id: "j".into(), plan: None });
+    let early = reported(&mut bench, Order::Approve { id: "j".into(), plan: 0 });
     assert!(!early.0 && early.1.contains("does not wait for approval"), "{early:?}");
     bench.robot.qd[0] = 0.4;
     bench.ticks(1);

@@ -62,7 +62,7 @@ fn begun(approval: Approval, cost: f64) -> (Bench, Vec<Action>) {
     assert!(request(&requested).is_some_and(|request| request.known_plan.is_empty()), "{requested:?}");
     let mut all = bench.feed(found(&[0, 1, 2], cost));
     if approval != Approval::Never {
-        all.extend(bench.feed(order(Order::Approve { id: "j".into(), plan: None })));
+        all.extend(bench.feed(order(bench.approval())));
     }
     assert_eq!(streams(&all), 1, "{all:?}");
     (bench, all)

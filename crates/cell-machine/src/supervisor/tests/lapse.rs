@@ -77,7 +77,7 @@ fn arming_lapses_after_its_time_without_motion_and_not_in_motion() {
     bench.now += limit;
     let lapsed = bench.ticks(2);
     assert!(said(&lapsed, "nothing has moved") && ended(&lapsed).is_none(), "{lapsed:?}");
-    let reply = answer(&bench.feed(order(Order::Approve { id: "j".into(), plan: None }))).expect("an answer");
+    let reply = answer(&bench.feed(order(bench.approval()))).expect("an answer");
     assert!(reply.accepted && reply.message.contains("celld arm"), "{}", reply.message);
     assert_eq!(streams(&bench.ticks(50)), 0);
 }
@@ -95,8 +95,7 @@ fn an_arm_that_is_off_while_a_plan_waits_is_powered_at_the_order_to_arm() {
     assert!(armed.iter().any(|action| matches!(action, Action::Robot(RobotCommand::PowerOn))), "{armed:?}");
     let off = bench.feed(order(Order::Disarm));
     assert!(off.iter().any(|action| matches!(action, Action::Robot(RobotCommand::Stop))), "{off:?}");
-    let approved =
-        bench.feed(Input::Order { number: 2, order: Order::Approve { id: "j".into(), plan: None } });
+    let approved = bench.feed(Input::Order { number: 2, order: bench.approval() });
     let reply = answer(&approved).expect("an answer");
     assert!(reply.accepted, "the plan has waited on: {}", reply.message);
 }

@@ -75,8 +75,7 @@ fn without_a_sight_of_the_table_there_is_no_preview() {
     all.extend(bench.ticks(50));
     assert_eq!(plans(&all), 0);
     assert!(!bench.cell.status().awaits_approval);
-    let refused =
-        answer(&bench.feed(order(Order::Approve { id: "j".into(), plan: None }))).expect("an answer");
+    let refused = answer(&bench.feed(order(bench.approval()))).expect("an answer");
     assert!(!refused.accepted, "{refused:?}");
 }
 
@@ -99,7 +98,7 @@ fn approved_then_armed(approval: Approval, at: Pose2) -> (Bench, Vec<Action>) {
     bench.job_with(approval);
     bench.ticks(2);
     bench.plan();
-    let reply = answer(&bench.feed(order(Order::Approve { id: "j".into(), plan: None }))).expect("an answer");
+    let reply = answer(&bench.feed(order(bench.approval()))).expect("an answer");
     assert!(reply.accepted && reply.message.contains("nothing moves before `celld arm`"), "{reply:?}");
     assert!(!bench.cell.status().awaits_approval);
     bench.at = at;
@@ -221,7 +220,8 @@ fn a_plan_that_needs_approval_waits_for_it() {
         Action::Commit { record: Record::Planned(note), .. } => Some(note.number),
         _ => None,
     });
-    let another = number.map(|number| number + 1);
+    let number = number.expect("the plan is written down");
+    let another = number + 1;
     let refused = bench.feed(order(Order::Approve { id: "j".into(), plan: another }));
     assert!(answer(&refused).is_some_and(|reply| reply.message.contains("has changed")), "{refused:?}");
     assert_eq!(streams(&bench.ticks(500)), 0, "what a person saw is not what waits");

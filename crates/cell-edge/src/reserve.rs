@@ -1,0 +1,77 @@
+//! File handles kept in reserve, for a process that must still take orders when it has no handles left.
+//!
+//! In: a call that opens something. Out: its result; where the process or the system has no handle left, one
+//! from the reserve is given up and the call is tried again. The reserve is filled again as handles become
+//! free. It is opened at the start, so its numbers stay below a limit that is lowered later.
+
+use std::fs::File;
+use std::io;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// Handles in reserve: orders, status and answers open one or two each.
+const SPARE: usize = 12;
+
+static RESERVE: Mutex<Vec<File>> = Mutex::new(Vec::new());
+
+fn reserve() -> MutexGuard<'static, Vec<File>> {
+    RESERVE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Fills the reserve as far as handles are left. Without a call of this there is no reserve.
+pub fn fill() {
+    let mut reserve = reserve();
+    while reserve.len() < SPARE {
+        let Ok(file) = File::open("/dev/null") else { return };
+        reserve.push(file);
+    }
+}
+
+/// Opens something, with handles from the reserve where there are no others.
+///
+/// # Errors
+/// That of `open`; also where the reserve is used up.
+pub fn with_spare<T>(mut open: impl FnMut() -> io::Result<T>) -> io::Result<T> {
+    loop {
+        match open() {
+            Err(error) if is_out_of_handles(&error) => {
+                // Another thread may take the handle that this one gives up: the next one then.
+                if reserve().pop().is_none() {
+                    return Err(error);
+                }
+            }
+            result => return result,
+        }
+    }
+}
+
+/// The process or the system has no handle left; `tempfile` wraps the system's error.
+fn is_out_of_handles(error: &io::Error) -> bool {
+    let codes = [rustix::io::Errno::MFILE, rustix::io::Errno::NFILE].map(|errno| errno.raw_os_error());
+    let wrapped = error.get_ref().and_then(|inner| inner.source()?.downcast_ref::<io::Error>());
+    let code = error.raw_os_error().or_else(|| wrapped?.raw_os_error());
+    code.is_some_and(|code| codes.contains(&code))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_handles_the_reserve_is_used_and_an_empty_reserve_is_an_error() {
+        fill();
+        let full = || io::Error::from_raw_os_error(rustix::io::Errno::MFILE.raw_os_error());
+        let mut refusals = 3;
+        let opened = with_spare(|| {
+            refusals -= 1;
+            if refusals >= 0 { Err(full()) } else { Ok(7) }
+        });
+        assert_eq!(opened.expect("opened"), 7);
+        assert_eq!(reserve().len(), SPARE - 3);
+        assert!(with_spare::<()>(|| Err(full())).is_err());
+        assert!(reserve().is_empty());
+        fill();
+        assert_eq!(reserve().len(), SPARE);
+        let absent = with_spare(|| File::open("/nowhere/at/all")).expect_err("absent");
+        assert_eq!((absent.kind(), reserve().len()), (io::ErrorKind::NotFound, SPARE));
+    }
+}
