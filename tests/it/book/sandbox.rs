@@ -130,12 +130,22 @@ impl Sandbox {
     fn ours(&self, text: &str) -> String {
         let page = format!("{}:8737", self.address);
         let demo = format!("celld demo --bind {}", self.address);
-        text.replace(EXAMPLE_PAGE, &page).replace(EXAMPLE, self.address).replace("celld demo", &demo)
+        let text =
+            text.replace(EXAMPLE_PAGE, &page).replace(EXAMPLE, self.address).replace("celld demo", &demo);
+        text.lines().map(at_a_terminal).collect()
     }
 
     /// The other way round.
     fn theirs(&self, text: &str) -> String {
         text.replace(&format!("{}:8737", self.address), EXAMPLE_PAGE).replace(self.address, EXAMPLE)
+    }
+}
+
+/// A line of a block; an approval, which wants a yes at a terminal, gets both.
+fn at_a_terminal(line: &str) -> String {
+    match line.starts_with("celld approve ") {
+        true => format!("printf 'y\\n' | script -qefc '{line}' /dev/null\n"),
+        false => format!("{line}\n"),
     }
 }
 
