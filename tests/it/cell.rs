@@ -198,7 +198,7 @@ fn refuses_at_once_and_in_its_log(folder: &Path) {
     let refused = celld(&["submit", "bad2.yaml"], folder);
     assert_eq!(refused.status.code(), Some(2), "{}", text(&refused.stderr));
     assert!(text(&refused.stdout).contains("rejected: "), "{}", text(&refused.stdout));
-    assert_eq!(celld(&["approve", "nothing"], folder).status.code(), Some(1));
+    assert_eq!(celld(&["approve", "nothing", "--plan", "1"], folder).status.code(), Some(1));
     let log = std::fs::read_to_string(folder.join(LOG)).expect("the log");
     for said in ["WARN job rejected", "WARN order refused: "] {
         let line = log.lines().find(|line| line.contains(said));

@@ -27,6 +27,8 @@ mod render;
 mod replay;
 mod robot_session;
 mod schemas;
+#[path = "../shell/mod.rs"]
+mod shell;
 mod sights;
 mod sim_config;
 mod slow_disk;

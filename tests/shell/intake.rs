@@ -1,0 +1,73 @@
+//! Orders are taken in time or not at all.
+
+use super::{Cell, ended, files, signal};
+use crate::cell::wait_until;
+
+/// The daemon is stopped, `arm` is given, its client ends: after the daemon goes on, nothing is armed.
+#[test]
+fn cell_does_not_arm_for_a_client_that_has_ended() {
+    let cell = Cell::start("127.7.8.1", &[]);
+    for (way, taken_back) in [("INT", true), ("KILL", false)] {
+        cell.signal("STOP");
+        let client = cell.client(&["arm"]);
+        wait_until("the order lies there", || files(&cell, ".command") == 1);
+        signal(way, client.0.id());
+        let (code, said) = ended(client);
+        assert_eq!(code, taken_back.then_some(130), "{way}: {said}");
+        assert_eq!(said.contains("taken back: nothing was done"), taken_back, "{way}: {said}");
+        assert_eq!(files(&cell, ".command"), usize::from(!taken_back), "{way}");
+        cell.signal("CONT");
+        if !taken_back {
+            wait_until("it is refused", || cell.log().contains("the client that gave this order ended"));
+        }
+        let (code, said) = cell.celld(&["recover"]);
+        assert_eq!(code, Some(0), "the daemon takes orders: {said}");
+        assert!(!cell.armed(), "{way}: {}", cell.log());
+    }
+    // Nothing else kept it from being armed.
+    cell.arm();
+}
+
+/// A thousand orders lie in the folder; an abort is carried out before them.
+#[test]
+fn cell_is_aborted_before_a_thousand_other_orders() {
+    let cell = Cell::start("127.7.8.2", &[]);
+    cell.carry();
+    let daemon = cell.status()["daemon"].as_str().expect("a name").to_string();
+    // Each asks for nothing that moves the arm, and no client waits for it.
+    let text = format!(r#"{{"daemon": "{daemon}", "boot_s": 1.0, "command": {{"do": "resume"}}}}"#);
+    let folder = cell.state().join("commands");
+    cell.signal("STOP");
+    (0..1000).for_each(|n| std::fs::write(folder.join(format!("{n:04}.command")), &text).expect("written"));
+    let abort = cell.client(&["abort"]);
+    wait_until("the abort lies there", || files(&cell, "-stop.command") == 1);
+    cell.signal("CONT");
+    let (code, said) = ended(abort);
+    assert!(said.contains("disarmed"), "{code:?}: {said}");
+    assert!(files(&cell, ".command") > 0, "others were taken before it");
+    assert!(cell.rests() && !cell.armed());
+    wait_until("the others are refused", || files(&cell, ".command") == 0);
+}
+
+/// Without a file handle left, an abort is taken and answered.
+#[test]
+fn cell_is_aborted_without_a_file_handle_left() {
+    let cell = Cell::start("127.7.8.3", &[]);
+    cell.carry();
+    let id = cell.daemon.as_ref().expect("a daemon").0.id();
+    let open = std::fs::read_dir(format!("/proc/{id}/fd")).expect("its handles").flatten();
+    let highest = open.filter_map(|entry| entry.file_name().to_string_lossy().parse::<u64>().ok()).max();
+    let limit = highest.expect("handles") + 1;
+    let lowered = std::process::Command::new("prlimit")
+        .args([format!("--pid={id}"), format!("--nofile={limit}:{limit}")])
+        .status();
+    assert!(lowered.expect("prlimit").success());
+    // What is left below the limit is used up from outside: connections to the daemon's page.
+    let page: Vec<_> =
+        (0..300).map_while(|_| std::net::TcpStream::connect((cell.address, 8737)).ok()).collect();
+    let (code, said) = cell.celld(&["abort"]);
+    assert!(said.contains("disarmed"), "{code:?}: {said}");
+    assert!(cell.rests());
+    drop(page);
+    wait_until("the status says so", || !cell.armed());
+}
