@@ -15,6 +15,9 @@ use rearrange::tabletop::instance::{Instance, ObjectSpec, Workspace};
 use std::sync::Mutex;
 use std::time::Instant;
 
+/// Stack of a thread that searches: a search of a thousand objects goes as many calls deep.
+const STACK_BYTES: usize = 16 << 20;
+
 /// When a case ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
@@ -82,7 +85,8 @@ pub fn run_case(
 
 /// Threads for `auto`; None for one, or where no more can be had: the caller's own has to do then.
 pub fn thread_pool(threads: u16) -> Option<rayon::ThreadPool> {
-    let build = |count| rayon::ThreadPoolBuilder::new().num_threads(count).build().ok();
+    let pool = rayon::ThreadPoolBuilder::new().stack_size(STACK_BYTES);
+    let build = |count| pool.num_threads(count).build().ok();
     (threads > 1).then(|| build(usize::from(threads))).flatten()
 }
 

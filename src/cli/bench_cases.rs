@@ -7,9 +7,7 @@
 use crate::bench::cells::{Cell, Unit};
 use crate::cli::task::TaskArgs;
 use rearrange::planning::generate::{RatioLaw, Recipe, Scenario, generate};
-use rearrange::planning::object_set::ObjectSet;
 use rearrange::planning::problem::Problem;
-use rearrange::planning::solver::SolveError;
 use std::path::{Path, PathBuf};
 
 /// The pairs of arrangements of discs and sticks that are taken first: those that the targets name.
@@ -44,10 +42,6 @@ impl Source {
     /// # Errors
     /// What is wrong with the cell.
     pub fn check(&self, cell: &Cell) -> Result<(), String> {
-        let (found, most) = (cell.objects, ObjectSet::CAPACITY);
-        if found > most {
-            return Err(SolveError::TooManyObjects { found, most }.to_string());
-        }
         let Source::Generated { ratios, .. } = self else { return Ok(()) };
         recipe(cell, *ratios)?.check().map_err(|error| error.to_string())
     }

@@ -5,6 +5,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::channel;
 use tokio::signal::unix::{SignalKind, signal};
 
 /// Raises `stop` when the process is to end in any of the usual ways: the screen is then given back first.
@@ -27,18 +28,25 @@ pub fn watch_every(stop: &Arc<AtomicBool>) {
     });
 }
 
-/// Raises `stop` at Ctrl-C from now on. Without signals on this system Ctrl-C ends the process as ever.
+/// Raises `stop` at Ctrl-C from now on: a signal that comes after this call has returned is not missed.
+/// Without signals on this system Ctrl-C ends the process as ever.
 pub fn watch(stop: &Arc<AtomicBool>) {
     let stop = stop.clone();
+    let (listens, listening) = channel();
     std::thread::spawn(move || {
         let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_all().build() else { return };
         runtime.block_on(async {
-            if tokio::signal::ctrl_c().await.is_ok() {
+            let Ok(mut interrupts) = signal(SignalKind::interrupt()) else { return };
+            // Nobody waits for this any more if the command has ended.
+            let _ = listens.send(());
+            if interrupts.recv().await.is_some() {
                 stop.store(true, Ordering::Relaxed);
-                if tokio::signal::ctrl_c().await.is_ok() {
+                if interrupts.recv().await.is_some() {
                     std::process::exit(130);
                 }
             }
         });
     });
+    // The thread that could not listen has dropped its end.
+    let _ = listening.recv();
 }

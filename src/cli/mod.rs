@@ -139,8 +139,14 @@ pub fn main() -> ExitCode {
         Command::Detect(args) => detect::run(&args),
         Command::Capture(args) => capture::run(&args),
         Command::Markers(args) => markers::run(&args),
-        Command::Plan(args) => plan::run(&args, &stop),
-        Command::Verify(args) => verify::run(&args),
+        Command::Plan(args) => {
+            interrupt::watch(&stop);
+            plan::run(&args, &stop)
+        }
+        Command::Verify(args) => {
+            interrupt::watch(&stop);
+            verify::run(&args, &stop)
+        }
         Command::Check(args) => check::run(&args),
         Command::Generate(args) => generate::run(&args),
         Command::Schema(args) => schema::run(&args),

@@ -7,24 +7,26 @@
 use crate::bench::planning::thread_pool;
 use crate::cli::task::TaskArgs;
 use crate::report::plan_svg::plan_svg;
+use cell_edge::panics::guarded;
 use cell_edge::terminal::{complain, print};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use indicatif::{ProgressBar, ProgressStyle};
 use rearrange::planning::check::CheckedPlan;
-use rearrange::planning::object_set::ObjectSet;
 use rearrange::planning::plan::{Action, ActionKind, Objective, PlanFile, Status};
 use rearrange::planning::problem::Problem;
-use rearrange::planning::scene::Scene;
-use rearrange::planning::solver::{Control, Outcome, SolverKind, lower_bound, solve};
+use rearrange::planning::solver::{Control, Outcome, SolverKind, solve};
 use rearrange::planning::travel::NOMINAL;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 /// A search shorter than this shows no progress.
 const QUIET: Duration = Duration::from_millis(500);
+
+/// The line on the terminal is drawn again after this time: searches ask far more often if they are to stop.
+const REDRAW: Duration = Duration::from_millis(50);
 
 /// What `--help` says about the choice of a solver.
 const SOLVERS: &str = "\
@@ -119,6 +121,7 @@ pub fn seconds(text: &str) -> Result<f64, String> {
 
 /// Runs `celld plan`; `stop` is set by Ctrl-C. Returns the exit code.
 pub fn run(args: &PlanArgs, stop: &AtomicBool) -> u8 {
+    let started = Instant::now();
     let problem = match args.task.read() {
         Ok(problem) => problem,
         Err(complaints) => {
@@ -126,14 +129,19 @@ pub fn run(args: &PlanArgs, stop: &AtomicBool) -> u8 {
             return 2;
         }
     };
-    let (outcome, timing) = match search(args, &problem, stop) {
-        Ok(done) => done,
-        Err(error) => {
+    let searched = guarded(|| search(args, &problem, started, stop));
+    let (outcome, timing) = match searched {
+        Ok(Ok(done)) => done,
+        Ok(Err(error)) => {
             complain(&format!("{}: {error}", args.task.instance.display()));
             return 2;
         }
+        Err(panic) => {
+            complain(&format!("{}: the planner failed: {panic}", args.task.instance.display()));
+            return 1;
+        }
     };
-    if outcome.plan.is_none() && stop.load(Ordering::Relaxed) {
+    if outcome.status == Status::Timeout && stop.load(Ordering::Relaxed) {
         complain("stopped before a plan was found");
         return 130;
     }
@@ -152,18 +160,20 @@ struct Timing {
     all: f64,
 }
 
+/// Plans; the limit counts from when the command `started`, the seconds of the plan from here.
 fn search(
     args: &PlanArgs,
     problem: &Problem,
+    started: Instant,
     stop: &AtomicBool,
 ) -> Result<(Outcome, Timing), rearrange::planning::solver::SolveError> {
     let limit = args.time_limit.unwrap_or(if args.solver == SolverKind::Auto { 10.0 } else { 600.0 });
     let begun = Instant::now();
     let first_plan = Mutex::new(None);
-    let progress = Progress::new(args, problem, begun, limit);
+    let progress = Progress::new(args, begun, limit);
     let stop = || {
         progress.tick();
-        stop.load(Ordering::Relaxed) || begun.elapsed().as_secs_f64() >= limit
+        stop.load(Ordering::Relaxed) || started.elapsed().as_secs_f64() >= limit
     };
     let on_plan = |_: &[Action], cost: f64| {
         if let Ok(mut first) = first_plan.lock() {
@@ -201,20 +211,22 @@ fn pool(threads: Option<u16>) -> Option<rayon::ThreadPool> {
 struct Progress {
     begun: Instant,
     limit: f64,
-    /// Below which no cost can be; None while it is not needed.
+    /// Better plans and bounds are reported.
+    reported: bool,
+    /// Below which no cost can be, once that is known.
     bound: Mutex<Option<f64>>,
+    /// When the line on the terminal is due again, ms.
+    due_ms: AtomicU64,
     bar: Mutex<Option<ProgressBar>>,
     best: Mutex<Option<f64>>,
 }
 
 impl Progress {
-    fn new(args: &PlanArgs, problem: &Problem, begun: Instant, limit: f64) -> Progress {
+    fn new(args: &PlanArgs, begun: Instant, limit: f64) -> Progress {
         let goes_on = matches!(args.solver, SolverKind::Mcts | SolverKind::Emcts | SolverKind::Auto);
-        let fits = problem.objects.len() <= ObjectSet::CAPACITY;
-        let reported = goes_on && !args.first && fits;
-        let bound = reported
-            .then(|| lower_bound(&Scene::new(problem), args.objective, NOMINAL.least_move_seconds()).value);
-        Progress { begun, limit, bound: Mutex::new(bound), bar: Mutex::new(None), best: Mutex::new(None) }
+        let (reported, due_ms) = (goes_on && !args.first, AtomicU64::new(QUIET.as_millis() as u64));
+        let (bound, bar, best) = (Mutex::new(None), Mutex::new(None), Mutex::new(None));
+        Progress { begun, limit, reported, bound, due_ms, bar, best }
     }
 
     fn found(&self, cost: f64) {
@@ -226,7 +238,7 @@ impl Progress {
 
     fn proved(&self, bound: f64) {
         if let Ok(mut known) = self.bound.lock() {
-            *known = known.map(|_| bound);
+            *known = Some(bound);
         }
         let best = self.best.lock().ok().and_then(|best| *best);
         if let Some(cost) = best {
@@ -235,7 +247,8 @@ impl Progress {
     }
 
     fn display(&self, cost: f64) {
-        let Some(bound) = self.bound.lock().ok().and_then(|bound| *bound) else { return };
+        let bound = self.bound.lock().ok().and_then(|bound| *bound);
+        let Some(bound) = bound.filter(|_| self.reported) else { return };
         let line = format!("{:.3} s: {}", self.begun.elapsed().as_secs_f64(), standing(cost, bound));
         match self.bar.lock().as_deref() {
             Ok(Some(bar)) => bar.suspend(|| complain(&line)),
@@ -245,7 +258,10 @@ impl Progress {
 
     fn tick(&self) {
         let passed = self.begun.elapsed();
-        if passed < QUIET {
+        let (now_ms, due_ms) = (passed.as_millis() as u64, self.due_ms.load(Ordering::Relaxed));
+        let next_ms = now_ms + REDRAW.as_millis() as u64;
+        let mine = || self.due_ms.compare_exchange(due_ms, next_ms, Ordering::Relaxed, Ordering::Relaxed);
+        if now_ms < due_ms || mine().is_err() {
             return;
         }
         let (Ok(mut bar), Ok(best), Ok(bound)) = (self.bar.lock(), self.best.lock(), self.bound.lock())
@@ -259,8 +275,8 @@ impl Progress {
         });
         let best = match (*best, *bound) {
             (None, _) => "no plan yet".to_string(),
-            (Some(cost), Some(bound)) => standing(cost, bound),
-            (Some(cost), None) => format!("cost {cost}"),
+            (Some(cost), Some(bound)) if self.reported => standing(cost, bound),
+            (Some(cost), _) => format!("cost {cost}"),
         };
         bar.set_message(format!("{:.1} s of at most {:.0} s, {best}", passed.as_secs_f64(), self.limit));
         bar.tick();

@@ -2,15 +2,19 @@
 //!
 //! In: an instance and a plan file. Out: whether the plan can be carried out as written, whether what the
 //! file says of itself is true, and which given overlaps were taken as they are. Exit code 0 when all is
-//! well, 1 when a fault was found, 2 for files that cannot be read.
+//! well, 1 when a fault was found or the time was up before all was known, 2 for files that cannot be read,
+//! 130 after Ctrl-C.
 
+use crate::cli::plan::seconds;
 use crate::cli::task::TaskArgs;
 use cell_edge::terminal::{complain, print, read_text};
 use rearrange::planning::check::{self, GivenIn};
-use rearrange::planning::claims::examine;
+use rearrange::planning::claims::{Examined, examine};
 use rearrange::planning::plan::{Action, PlanFile};
 use rearrange::planning::problem::Problem;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
 
 /// Arguments of `celld verify`.
 #[derive(Clone, Debug, clap::Args)]
@@ -20,6 +24,9 @@ pub struct VerifyArgs {
     pub task: TaskArgs,
     /// The plan file to check
     pub plan: PathBuf,
+    /// Seconds for the check; a plan that is not checked to the end by then is not valid (exit code 1)
+    #[arg(long, value_name = "S", default_value_t = 600.0, value_parser = seconds)]
+    pub time_limit: f64,
     /// What standard output gets
     #[arg(long, default_value = "text", value_parser = ["text", "json"])]
     pub format: String,
@@ -29,6 +36,8 @@ pub struct VerifyArgs {
 #[derive(Debug, serde::Serialize)]
 struct Report {
     valid: bool,
+    /// False where the time was up first.
+    finished: bool,
     fault: Option<String>,
     moves: usize,
     /// Given overlaps that are exempt.
@@ -43,8 +52,9 @@ struct Exempt {
     depth_mm: f64,
 }
 
-/// Runs `celld verify`. Returns the exit code.
-pub fn run(args: &VerifyArgs) -> u8 {
+/// Runs `celld verify`; `stop` is set by Ctrl-C. Returns the exit code.
+pub fn run(args: &VerifyArgs, stop: &AtomicBool) -> u8 {
+    let begun = Instant::now();
     let read = || -> Result<(Problem, PlanFile, Vec<Action>), String> {
         let problem = args.task.read()?;
         let located = |error: &dyn std::fmt::Display| format!("{}: {error}", args.plan.display());
@@ -59,9 +69,18 @@ pub fn run(args: &VerifyArgs) -> u8 {
             return 2;
         }
     };
-    let found = examine(&problem, &file, &actions);
-    let exempt = found.exempt.iter().map(Exempt::new).collect();
-    let report = Report { valid: found.fault.is_none(), fault: found.fault, moves: actions.len(), exempt };
+    let interrupted = || stop.load(Ordering::Relaxed);
+    let over = || interrupted() || begun.elapsed().as_secs_f64() >= args.time_limit;
+    let Examined { fault, exempt, finished } = examine(&problem, &file, &actions, &over);
+    if !finished && interrupted() {
+        complain("stopped before the plan was checked to the end");
+        return 130;
+    }
+    let limit = args.time_limit;
+    let late = |fault: String| format!("{fault} after {limit} s; give it longer with --time-limit");
+    let fault = if finished { fault } else { fault.map(late) };
+    let exempt = exempt.iter().map(Exempt::new).collect();
+    let report = Report { valid: fault.is_none(), finished, fault, moves: actions.len(), exempt };
     print(&if args.format == "json" { json(&report) } else { text(&report) });
     if report.valid { 0 } else { 1 }
 }
@@ -85,6 +104,7 @@ fn json(report: &Report) -> String {
 fn text(report: &Report) -> String {
     let mut text = match &report.fault {
         None => format!("valid: {} moves\n", report.moves),
+        Some(fault) if !report.finished => format!("not verified: {fault}\n"),
         Some(fault) => format!("not valid: {fault}\n"),
     };
     for e in &report.exempt {

@@ -1,11 +1,14 @@
 //! `celld plan` and `celld verify` from files to files, with the exit codes of the design.
 
+use crate::cell::{CELLD, wait_until};
 use crate::edit::replace_once;
 use celld::cli::plan::{PlanArgs, run as plan};
 use celld::cli::verify::{VerifyArgs, run as verify};
 use clap::{Args, Command};
 use rearrange::planning::plan::{PlanFile, Status};
+use std::io::{BufRead, BufReader, Lines};
 use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStderr, Stdio};
 use std::sync::atomic::AtomicBool;
 
 const SWAP: &str = "\
@@ -52,8 +55,13 @@ impl Files {
     }
 
     fn verify(&self, instance: &str) -> u8 {
+        self.verify_with(instance, &[], false)
+    }
+
+    fn verify_with(&self, instance: &str, more: &[&str], stopped: bool) -> u8 {
         let plan = self.path("plan.json").display().to_string();
-        verify(&args::<VerifyArgs>(&[instance, &plan]))
+        let words = [&[instance, &plan], more].concat();
+        verify(&args::<VerifyArgs>(&words), &AtomicBool::new(stopped))
     }
 }
 
@@ -162,4 +170,115 @@ fn same_seed_and_work_same_plan_on_any_number_of_threads() {
             assert_eq!(plan(threads), one, "{solver} on {threads} threads");
         }
     }
+}
+
+/// A grid of squares of which each has to go where its right neighbour is, and the last in a row to the
+/// first.
+fn rotated_rows(per_row: usize, rows: usize, vacant: usize) -> String {
+    let pitch = 1.0 / per_row.max(rows) as f64;
+    let mut text = "workspace: {width: 1.0, height: 1.0}\nobjects:\n".to_string();
+    let count = per_row * rows - vacant;
+    for k in 0..count {
+        let in_row = per_row.min(count - k / per_row * per_row);
+        let at = |column: usize, row: usize| {
+            format!("[{}, {}, 0.0]", (column as f64 + 0.5) * pitch, (row as f64 + 0.5) * pitch)
+        };
+        let (column, row) = (k % per_row, k / per_row);
+        let (start, goal) = (at(column, row), at((column + 1) % in_row, row));
+        let size = 0.9 * pitch;
+        text += &format!(
+            "  - {{id: o{k}, footprint: {{rectangle: {{length: {size}, width: {size}}}}}, start: {start}, goal: {goal}}}\n"
+        );
+    }
+    text
+}
+
+/// 255 objects were one too many for stops, 256 for the proof about room, 257 for every set.
+#[test]
+fn more_objects_than_a_bitset_holds_get_a_plan_or_a_timeout_from_every_solver() {
+    let files = Files::new();
+    for (name, vacant) in [("255", 1), ("256", 0)] {
+        let instance = files.write(&format!("{name}.yaml"), &rotated_rows(16, 16, vacant));
+        for solver in ["tbm", "rbm", "etbm", "erbm", "mcts", "emcts", "auto"] {
+            let code = files.plan(&instance, &["--solver", solver, "--work", "2000"], false);
+            let file = read(&files.path("plan.json"));
+            assert_eq!(code == 0, file.moves.is_some(), "{name} {solver}: {:?}", file.status);
+            assert!(code <= 1 && file.lower_bound >= 240.0, "{name} {solver}: {code} {}", file.lower_bound);
+        }
+    }
+    let instance = files.write("300.yaml", &rotated_rows(20, 15, 0));
+    assert_eq!(files.plan(&instance, &["--work", "4000", "--first"], false), 0);
+    assert_eq!(files.verify(&instance), 0);
+}
+
+#[test]
+fn a_check_that_has_no_time_says_so_and_vouches_for_nothing() {
+    let files = Files::new();
+    let instance = files.write("swap.yaml", SWAP);
+    assert_eq!(files.plan(&instance, &["--work", "100000"], false), 0);
+    assert_eq!(files.verify_with(&instance, &["--time-limit", "60"], false), 0);
+    assert_eq!(files.verify_with(&instance, &["--time-limit", "0"], false), 1);
+    assert_eq!(files.verify_with(&instance, &[], true), 130);
+}
+
+/// The real program, planning, and the lines that it says.
+fn planning(words: &[&str]) -> (Child, Lines<BufReader<ChildStderr>>) {
+    let mut program = std::process::Command::new(CELLD)
+        .arg("plan")
+        .args(words)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the binary runs");
+    let said = program.stderr.take().expect("piped");
+    (program, BufReader::new(said).lines())
+}
+
+fn interrupt(program: &Child) {
+    let kill = format!("kill -INT {}", program.id());
+    let sent = std::process::Command::new("sh").args(["-c", &kill]).status().expect("sh");
+    assert!(sent.success());
+}
+
+/// The kernel's list of signals that a process handles itself has SIGINT, which is signal 2.
+fn handles_interrupts(program: &Child) -> bool {
+    let status = std::fs::read_to_string(format!("/proc/{}/status", program.id())).expect("it runs");
+    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).expect("a mask of signals");
+    u64::from_str_radix(caught.trim(), 16).expect("hexadecimal") >> 1 & 1 == 1
+}
+
+#[test]
+fn ctrl_c_leaves_the_best_plan_there_is() {
+    let files = Files::new();
+    let instance = files.write("swap.yaml", SWAP);
+    let out = files.path("plan.json").display().to_string();
+    // No bound reaches the seconds of a plan: this search goes on for ten minutes.
+    let words = [&instance, "--objective", "time", "--time-limit", "600", "--out", &out];
+    let (mut program, mut said) = planning(&words.map(|word| word as &str));
+    assert!(said.any(|line| line.expect("text").contains("cost ")), "a first plan is reported");
+    interrupt(&program);
+    assert_eq!(program.wait().expect("it ends").code(), Some(0));
+    let file = read(&files.path("plan.json"));
+    assert!(file.status == Status::Solved && file.seconds < 300.0, "{file:?}");
+    assert_eq!(files.verify(&instance), 0);
+}
+
+#[test]
+fn ctrl_c_without_a_plan_is_exit_code_130() {
+    let files = Files::new();
+    // Two squares fill the table: they cannot change places, and no search can prove that.
+    let full = "\
+workspace: {width: 0.4, height: 0.2}
+objects:
+  - {id: a, footprint: {rectangle: {length: 0.2, width: 0.2}}, start: [0.1, 0.1, 0.0], goal: [0.3, 0.1, 0.0]}
+  - {id: b, footprint: {rectangle: {length: 0.2, width: 0.2}}, start: [0.3, 0.1, 0.0], goal: [0.1, 0.1, 0.0]}
+";
+    let instance = files.write("full.yaml", full);
+    let out = files.path("plan.json").display().to_string();
+    let (mut program, mut said) = planning(&[&instance, "--time-limit", "600", "--out", &out]);
+    wait_until("it listens for Ctrl-C", || handles_interrupts(&program));
+    interrupt(&program);
+    assert_eq!(program.wait().expect("it ends").code(), Some(130));
+    assert!(said.any(|line| line.expect("text").contains("stopped before a plan was found")));
+    assert!(!files.path("plan.json").exists());
 }

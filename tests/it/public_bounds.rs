@@ -8,6 +8,7 @@ use celld::bench::planning::{Limits, run_case};
 use celld::bench::table::Key;
 use celld::cli::bench_cases::public_task;
 use rearrange::planning::bound::start_goal_graph;
+use rearrange::planning::effort::Watch;
 use rearrange::planning::plan::{Objective, Status};
 use rearrange::planning::problem::Problem;
 use rearrange::planning::scene::Scene;
@@ -65,9 +66,9 @@ fn bounds_equal_the_measured_ones() {
     assert!(rows.len() > 50, "only {} rows of the baseline are among the data", rows.len());
     for Baseline { name, problem, pp, ti } in &rows {
         let scene = Scene::new(problem);
-        let arcs = || start_goal_graph(&scene).arcs().collect::<Vec<_>>();
-        let our_pp = lower_bound(&scene, Objective::Pp, 0.0).value;
-        let our_ti = lower_bound(&scene, Objective::Ti, 0.0).value;
+        let arcs = || start_goal_graph(&scene, &mut Watch::new(&|| false)).arcs().collect::<Vec<_>>();
+        let our_pp = lower_bound(&scene, Objective::Pp, 0.0, &mut Watch::new(&|| false)).value;
+        let our_ti = lower_bound(&scene, Objective::Ti, 0.0, &mut Watch::new(&|| false)).value;
         assert_eq!(our_pp, *pp, "{name}; arcs {:?}", arcs());
         assert!((our_ti - ti).abs() <= 0.01 * ti, "{name}: {our_ti} not {ti}; arcs {:?}", arcs());
     }

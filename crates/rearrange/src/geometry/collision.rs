@@ -97,6 +97,11 @@ impl Placed {
         if deepest <= TOUCH_M { 0.0 } else { deepest }
     }
 
+    /// Least and largest x of the disc about it, m.
+    pub fn span_x(&self) -> [f64; 2] {
+        [self.centre[0] - self.radius, self.centre[0] + self.radius]
+    }
+
     fn discs_apart(&self, other: &Placed, clearance: f64) -> bool {
         let reach = self.radius + other.radius + clearance;
         let (dx, dy) = (self.centre[0] - other.centre[0], self.centre[1] - other.centre[1]);

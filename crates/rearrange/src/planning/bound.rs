@@ -5,11 +5,14 @@
 //! cycle of the dependency graph not all objects can go home in one move each, for each would have to wait
 //! for the next; so the objects that move twice form a feedback vertex set, and the cheapest one is added.
 //! Members of a group count only by what holds for every assignment: they take no part in the cycles, and
-//! the group needs as many moves as it has goals at which there is no member (or members that are in the way
-//! of a goal, if that is more). The feedback vertex set is exact. `buffer_space` proves more where there is
-//! no room to put objects aside.
+//! the group needs as many moves as it has goals at which there is no member (or members that are in the
+//! way of a goal, if that is more). The feedback vertex set is exact, unless its search is cut short; then
+//! its own lower bound counts. Where the caller ends the work, what was not looked at counts as free, so
+//! the number is true whenever it comes. `buffer_space` proves more where there is no room to put objects
+//! aside.
 
 use crate::geometry::pose::Pose2;
+use crate::planning::effort::Watch;
 use crate::planning::feedback;
 use crate::planning::graph::DependencyGraph;
 use crate::planning::object_set::ObjectSet;
@@ -33,13 +36,17 @@ pub struct LowerBound {
 
 /// Arc i -> j exactly when i at its own goal and j at its start may not be there at once. Vertices are the
 /// problem's objects; those that are fixed have no arcs, those without a goal no outgoing ones, and neither
-/// have those that start at their goal: they may stay, and a pair of starts is never refused.
-pub fn start_goal_graph(scene: &Scene) -> DependencyGraph {
+/// have those that start at their goal: they may stay, and a pair of starts is never refused. Objects that
+/// `watch` leaves no time for have no outgoing arcs.
+pub fn start_goal_graph(scene: &Scene, watch: &mut Watch) -> DependencyGraph {
     let objects = &scene.problem.objects;
-    DependencyGraph::from_fn(objects.len(), |i, j| {
-        let movable = !objects[i].fixed && !objects[j].fixed;
-        movable && !stays(scene, i) && scene.goal(i).is_some_and(|goal| !scene.clear(goal, scene.start(j)))
-    })
+    let blockers = |i: usize| -> ObjectSet {
+        let goal = scene.goal(i).filter(|_| !objects[i].fixed && !stays(scene, i));
+        let Some(goal) = goal.filter(|_| watch.go_on(scene.row_ticks())) else { return ObjectSet::EMPTY };
+        let others = scene.movable.iter().copied().filter(|&j| j != i);
+        others.filter(|&j| !scene.clear(goal, scene.start(j))).collect()
+    };
+    DependencyGraph::from_blockers((0..objects.len()).map(blockers).collect())
 }
 
 /// True when the object starts at its goal, angles modulo a full turn.
@@ -48,6 +55,7 @@ fn stays(scene: &Scene, i: usize) -> bool {
 }
 
 /// What the bound is put together from.
+#[derive(Clone, Debug)]
 pub struct Parts {
     /// Objects that move and are no member of a group.
     pub single: ObjectSet,
@@ -59,33 +67,44 @@ pub struct Parts {
     pub required_cost: f64,
     /// Who of the single objects waits for whom.
     pub graph: DependencyGraph,
+    /// Cost of the cheapest second moves that break all cycles, as far as it is proved.
+    pub cycle_cost: f64,
+    /// Nothing cheaper breaks all cycles than what `cycle_cost` pays for.
+    pub is_exact: bool,
 }
 
 impl Parts {
     /// For the given cost of one move of each object of the problem.
-    pub fn new(scene: &Scene, move_costs: &[f64]) -> Parts {
-        let graph = start_goal_graph(scene);
+    pub fn new(scene: &Scene, move_costs: &[f64], watch: &mut Watch) -> Parts {
+        let graph = start_goal_graph(scene, watch);
         let groups = groups(scene);
         let grouped: ObjectSet = groups.values().flatten().copied().collect();
         let single: ObjectSet = scene.movable.iter().copied().filter(|&i| !grouped.contains(i)).collect();
-        let blocking = blocking(scene, &graph, &groups, single);
-        let required: ObjectSet = single.iter().filter(|&i| must_move(scene, i, blocking)).collect();
+        let blocking = blocking(scene, &graph, &groups, &single);
+        let required: ObjectSet = single.iter().filter(|&i| must_move(scene, i, &blocking)).collect();
         let mut required_moves = required.len();
         let mut required_cost = required.weight(move_costs);
         for members in groups.values() {
-            let (moves, cost) = group_moves(scene, members, blocking, move_costs);
+            let (moves, cost) = group_moves(scene, members, &blocking, move_costs);
             required_moves += moves;
             required_cost += cost;
         }
-        Parts { single, required, required_moves, required_cost, graph: graph.restricted(single) }
+        let graph = graph.restricted(&single);
+        let cycles = feedback::minimum(&graph, move_costs, watch);
+        let (cycle_cost, is_exact) = (cycles.lower_bound, cycles.is_minimum());
+        Parts { single, required, required_moves, required_cost, graph, cycle_cost, is_exact }
+    }
+
+    /// The bound that they make.
+    pub fn bound(&self) -> LowerBound {
+        let Parts { required_moves, required_cost, cycle_cost, .. } = *self;
+        LowerBound { value: required_cost + cycle_cost, required_moves, required_cost, cycle_cost }
     }
 }
 
 /// The bound for the given cost of one move of each object of the problem.
-pub fn lower_bound(scene: &Scene, move_costs: &[f64]) -> LowerBound {
-    let Parts { required_moves, required_cost, graph, .. } = Parts::new(scene, move_costs);
-    let cycle_cost = feedback::minimum(&graph, move_costs).lower_bound;
-    LowerBound { value: required_cost + cycle_cost, required_moves, required_cost, cycle_cost }
+pub fn lower_bound(scene: &Scene, move_costs: &[f64], watch: &mut Watch) -> LowerBound {
+    Parts::new(scene, move_costs, watch).bound()
 }
 
 /// Movable objects by group, groups of at least two only: a lone member is like any other object.
@@ -105,25 +124,25 @@ fn blocking(
     scene: &Scene,
     graph: &DependencyGraph,
     groups: &BTreeMap<&str, Vec<usize>>,
-    single: ObjectSet,
+    single: &ObjectSet,
 ) -> ObjectSet {
     let mut blocking = ObjectSet::EMPTY;
     for i in single {
-        blocking = blocking | graph.blockers(i);
+        blocking.extend(graph.blockers(i));
     }
     for members in groups.values() {
         for &i in members {
             // A member that starts at this goal might stay, and what is beside it since the start as well.
             let taken = scene.goal(i).is_some_and(|goal| stands_at(scene, members, &goal.pose));
             if !taken {
-                blocking = blocking | graph.blockers(i);
+                blocking.extend(graph.blockers(i));
             }
         }
     }
     blocking
 }
 
-fn must_move(scene: &Scene, i: usize, blocking: ObjectSet) -> bool {
+fn must_move(scene: &Scene, i: usize, blocking: &ObjectSet) -> bool {
     match scene.goal(i) {
         Some(_) => !stays(scene, i),
         None => blocking.contains(i),
@@ -135,7 +154,7 @@ fn stands_at(scene: &Scene, members: &[usize], pose: &Pose2) -> bool {
 }
 
 /// Moves that the group needs under every assignment, and their least cost.
-fn group_moves(scene: &Scene, members: &[usize], blocking: ObjectSet, costs: &[f64]) -> (usize, f64) {
+fn group_moves(scene: &Scene, members: &[usize], blocking: &ObjectSet, costs: &[f64]) -> (usize, f64) {
     let goals: Vec<Pose2> = members.iter().filter_map(|&i| scene.goal(i)).map(|goal| goal.pose).collect();
     let empty_goals = goals.iter().filter(|goal| !stands_at(scene, members, goal)).count();
     let stays = |i: usize| goals.iter().any(|goal| goal.same(&scene.start(i).pose));

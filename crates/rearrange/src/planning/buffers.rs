@@ -64,7 +64,7 @@ pub fn allocate(
 ) -> Allocated {
     let mut allocator = Allocator::new(scene, from, to, steps);
     let failed = (0..steps.len()).find(|&step| !allocator.settle(step, rng, effort));
-    let stuck = failed.and_then(|step| allocator.stuck(step));
+    let stuck = failed.filter(|_| !effort.is_over()).and_then(|step| allocator.stuck(step));
     let done = failed.unwrap_or(steps.len());
     Allocated { moves: allocator.moves(&steps[..done]), complete: failed.is_none(), stuck }
 }
@@ -102,12 +102,16 @@ impl<'a> Allocator<'a> {
     fn settle(&mut self, step: usize, rng: &mut ChaCha8Rng, effort: &mut Effort) -> bool {
         let mut open: Vec<usize> =
             (0..self.stays.len()).filter(|&s| self.stays[s].is_open_after(step)).collect();
-        if open.iter().all(|&s| self.holds(s, step)) {
+        let row_ticks = self.scene.row_ticks();
+        if open.iter().all(|&s| effort.watch().go_on(row_ticks) && self.holds(s, step)) {
             return true;
         }
         let before: Vec<Option<Arc<Spot>>> = open.iter().map(|&s| self.stays[s].spot.clone()).collect();
         let slots = open.clone();
         for _ in 0..RESTARTS {
+            if effort.is_over() {
+                return false;
+            }
             open.shuffle(rng);
             let mut old: Vec<Option<Arc<Spot>>> = open.iter().map(|&s| self.stays[s].spot.take()).collect();
             let all_placed =

@@ -8,13 +8,16 @@
 //! action of an object repeats its goal's numbers exactly; members of a group end on the group's goals in
 //! any order.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
+use std::sync::Arc;
 
+use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
+use crate::planning::effort::Watch;
 use crate::planning::overlap::{Body, TOUCH_M};
 use crate::planning::plan::{Action, ActionKind};
-use crate::planning::problem::Problem;
+use crate::planning::problem::{Problem, ProblemObject};
 
 /// A plan that passed the check. There is no other way to make one.
 #[derive(Clone, Debug)]
@@ -68,12 +71,25 @@ impl CheckedPlan {
     /// # Errors
     /// The first fault in the order of the plan, then faults of the final arrangement.
     pub fn new(problem: &Problem, actions: &[Action]) -> Result<CheckedPlan, PlanFault> {
+        CheckedPlan::within(problem, actions, &mut Watch::new(&|| false))
+    }
+
+    /// The same, as far as `watch` lets it.
+    ///
+    /// # Errors
+    /// As [`CheckedPlan::new`]; [`PlanFault::Unfinished`] where the caller ended the check.
+    pub fn within(
+        problem: &Problem,
+        actions: &[Action],
+        watch: &mut Watch,
+    ) -> Result<CheckedPlan, PlanFault> {
         let mut table = Table::new(problem);
-        table.check_start()?;
+        table.check_start(watch)?;
         for (index, action) in actions.iter().enumerate() {
+            table.go_on(watch)?;
             table.carry_out(index, action)?;
         }
-        table.check_end(actions)?;
+        table.check_end(actions, watch)?;
         Ok(CheckedPlan { actions: actions.to_vec(), exempt: table.exempt, final_poses: table.poses })
     }
 
@@ -110,27 +126,36 @@ struct Table<'p> {
     bodies: Vec<Body>,
     regions: Vec<Body>,
     /// Goals each object may take: its own, or all of its group's; a fixed object's start.
-    goals: Vec<Vec<Pose2>>,
+    goals: Vec<Arc<[Pose2]>>,
+    /// What one object takes, in ticks.
+    ticks: u64,
     exempt: Vec<Exempt>,
 }
 
 impl<'p> Table<'p> {
     fn new(problem: &'p Problem) -> Table<'p> {
         let objects = &problem.objects;
-        let goals_of = |k: usize| -> Vec<Pose2> {
-            let object = &objects[k];
+        let mut shared: BTreeMap<&str, Vec<Pose2>> = BTreeMap::new();
+        for object in objects {
+            if let Some(group) = &object.group {
+                shared.entry(group).or_default().extend(object.goal);
+            }
+        }
+        let shared: BTreeMap<&str, Arc<[Pose2]>> =
+            shared.into_iter().map(|(group, goals)| (group, goals.into())).collect();
+        let goals_of = |object: &ProblemObject| -> Arc<[Pose2]> {
             if object.fixed {
-                return vec![object.start];
+                return Arc::new([object.start]);
             }
-            match &object.group {
-                Some(group) => objects
-                    .iter()
-                    .filter(|o| o.group.as_ref() == Some(group))
-                    .filter_map(|o| o.goal)
-                    .collect(),
-                None => object.goal.into_iter().collect(),
-            }
+            let group = object.group.as_ref().and_then(|group| shared.get(group.as_str()));
+            group.map_or_else(|| object.goal.into_iter().collect(), Arc::clone)
         };
+        // Corners of all, as a test of two polygons takes as long as their corners are many.
+        let pieces = |object: &ProblemObject| match &object.footprint {
+            Footprint::Polygon(polygon) => polygon.points().len(),
+            Footprint::Disc { .. } | Footprint::Ellipse { .. } | Footprint::Rectangle { .. } => 4,
+        };
+        let corners: usize = objects.iter().map(pieces).sum();
         Table {
             problem,
             poses: objects.iter().map(|object| object.start).collect(),
@@ -140,7 +165,8 @@ impl<'p> Table<'p> {
                 .iter()
                 .map(|region| Body::new(&region.footprint, &region.pose))
                 .collect(),
-            goals: (0..objects.len()).map(goals_of).collect(),
+            goals: objects.iter().map(goals_of).collect(),
+            ticks: (corners + objects.iter().map(pieces).max().unwrap_or(0).pow(2)) as u64,
             exempt: Vec::new(),
         }
     }
@@ -154,8 +180,14 @@ impl<'p> Table<'p> {
         self.problem.overlap_tolerance.max(0.0) + TOUCH_M
     }
 
-    fn check_start(&mut self) -> Result<(), PlanFault> {
+    /// Asks before the next object whether the caller still wants to know.
+    fn go_on(&self, watch: &mut Watch) -> Result<(), PlanFault> {
+        if watch.go_on(self.ticks) { Ok(()) } else { Err(PlanFault::Unfinished) }
+    }
+
+    fn check_start(&mut self, watch: &mut Watch) -> Result<(), PlanFault> {
         for k in 0..self.poses.len() {
+            self.go_on(watch)?;
             if !self.poses[k].is_finite() {
                 return Err(PlanFault::NotFinite { action: 0, object: self.name(k) });
             }
@@ -298,17 +330,20 @@ impl<'p> Table<'p> {
         body: &Body,
     ) -> Result<(), PlanFault> {
         for j in (0..self.poses.len()).filter(|&j| j != k) {
-            let given = self.given_together(k, to, j);
-            match (self.object_contact(j, body), given) {
-                (Some(Contact { meets, depth_m, too_deep: false }), Some(given)) => {
+            // Whether a pair is given is looked up where it matters: in a large group that takes long.
+            let given = || self.given_together(k, to, j);
+            match self.object_contact(j, body).map(|contact| (given(), contact)) {
+                Some((Some(given), Contact { meets, depth_m, too_deep: false })) => {
                     self.note(Exempt { object: self.name(k), meets, given, depth_m });
                 }
-                (Some(Contact { meets, depth_m, .. }), _) => {
+                Some((_, Contact { meets, depth_m, .. })) => {
                     let (object, depth_um) = (self.name(k), depth_m * 1e6);
                     return Err(PlanFault::Overlap { action, object, meets, depth_um });
                 }
-                (None, Some(_)) => {}
-                (None, None) => self.check_clearance(action, k, body, &self.bodies[j], || self.name(j))?,
+                None => {
+                    let near = self.check_clearance(action, k, body, &self.bodies[j], || self.name(j));
+                    near.or_else(|fault| given().map_or(Err(fault), |_| Ok(())))?;
+                }
             }
         }
         Ok(())
@@ -352,11 +387,12 @@ impl<'p> Table<'p> {
         (self.goals[k].contains(pose) && self.goals[j].contains(other)).then_some(GivenIn::Goal)
     }
 
-    fn check_end(&self, actions: &[Action]) -> Result<(), PlanFault> {
-        let moved = |k: usize| actions.iter().any(|action| action.object == k);
+    fn check_end(&self, actions: &[Action], watch: &mut Watch) -> Result<(), PlanFault> {
+        let mut moved = vec![false; self.poses.len()];
+        actions.iter().for_each(|action| moved[action.object] = true);
         // An object that never moves is there if its start is the goal, angles modulo a full turn.
         let arrived = |k: usize, goal: &Pose2| {
-            if moved(k) { self.poses[k] == *goal } else { self.poses[k].same(goal) }
+            if moved[k] { self.poses[k] == *goal } else { self.poses[k].same(goal) }
         };
         for (k, object) in self.problem.objects.iter().enumerate() {
             let Some(goal) = object.goal.filter(|_| !object.fixed && object.group.is_none()) else {
@@ -367,11 +403,15 @@ impl<'p> Table<'p> {
                 return Err(PlanFault::Goal { object: object.id.clone(), off_um, off_deg });
             }
         }
-        self.check_groups(&arrived)
+        self.check_groups(&arrived, watch)
     }
 
     /// Every goal of a group needs a member of its own, also where two goals are the same pose.
-    fn check_groups(&self, arrived: &dyn Fn(usize, &Pose2) -> bool) -> Result<(), PlanFault> {
+    fn check_groups(
+        &self,
+        arrived: &dyn Fn(usize, &Pose2) -> bool,
+        watch: &mut Watch,
+    ) -> Result<(), PlanFault> {
         let objects = &self.problem.objects;
         let groups: BTreeSet<&String> = objects.iter().filter_map(|object| object.group.as_ref()).collect();
         for group in groups {
@@ -382,7 +422,8 @@ impl<'p> Table<'p> {
                 .filter_map(|&m| Some((m, objects[m].goal.filter(|_| !objects[m].fixed)?)))
                 .collect();
             let there = |goal: &Pose2| members.iter().copied().filter(|&m| arrived(m, goal)).collect();
-            let standing: Vec<Vec<usize>> = goals.iter().map(|(_, goal)| there(goal)).collect();
+            let standing = goals.iter().map(|(_, goal)| self.go_on(watch).map(|()| there(goal)));
+            let standing: Vec<Vec<usize>> = standing.collect::<Result<_, PlanFault>>()?;
             if let Some(unserved) = group_goals::unserved(&standing) {
                 let object = objects[goals[unserved].0].id.clone();
                 return Err(PlanFault::GroupGoal { group: group.clone(), object });

@@ -4,8 +4,8 @@
 //! they are. The plan is judged by the independent checker; cost and moves are counted afresh, and a lower
 //! bound is believed only as far as it can be proved here. Pure.
 
-use crate::planning::check::{CheckedPlan, Exempt};
-use crate::planning::object_set::ObjectSet;
+use crate::planning::check::{CheckedPlan, Exempt, PlanFault};
+use crate::planning::effort::{StopFunction, Watch};
 use crate::planning::plan::{Action, Objective, PlanFile, Status};
 use crate::planning::problem::Problem;
 use crate::planning::scene::Scene;
@@ -18,23 +18,47 @@ pub struct Examined {
     pub fault: Option<String>,
     /// Given overlaps that are exempt.
     pub exempt: Vec<Exempt>,
+    /// False where the caller ended the work: then the fault says what is not known yet.
+    pub finished: bool,
 }
 
-/// The first thing that is wrong with the plan or with what the file claims, and the given overlaps.
-pub fn examine(problem: &Problem, file: &PlanFile, actions: &[Action]) -> Examined {
-    let refused = |fault: String| Examined { fault: Some(fault), exempt: Vec::new() };
+/// The first thing that is wrong with the plan or with what the file claims, and the given overlaps. Where
+/// `stop` ends the work, the fault says how far it came.
+pub fn examine(problem: &Problem, file: &PlanFile, actions: &[Action], stop: StopFunction) -> Examined {
+    let refused =
+        |fault: String, finished: bool| Examined { fault: Some(fault), exempt: Vec::new(), finished };
     match file.status {
         Status::Optimal | Status::Solved => {}
         Status::Infeasible | Status::Timeout => {
-            return refused("the file holds no plan: its status says that none was found".to_string());
+            let fault = "the file holds no plan: its status says that none was found";
+            return refused(fault.to_string(), true);
         }
     }
-    match CheckedPlan::new(problem, actions) {
-        Err(fault) => refused(fault.to_string()),
-        Ok(plan) => Examined { fault: false_claim(problem, file, actions), exempt: plan.exempt().to_vec() },
+    let plan = match CheckedPlan::within(problem, actions, &mut Watch::new(stop)) {
+        Err(PlanFault::Unfinished) => return refused("not every action is checked yet".to_string(), false),
+        Err(fault) => return refused(fault.to_string(), true),
+        Ok(plan) => plan,
+    };
+    let exempt = plan.exempt().to_vec();
+    if let Some(fault) = false_claim(problem, file, actions) {
+        return Examined { fault: Some(fault), exempt, finished: true };
     }
+    if file.objective == Objective::Time {
+        return Examined { fault: None, exempt, finished: true };
+    }
+    let claimed = file.lower_bound;
+    let bound = solver::provable_bound(&Scene::new(problem), file.objective, claimed, stop);
+    let fault = (claimed > bound && !same(claimed, bound)).then(|| match stop() {
+        true => format!(
+            "the plan can be carried out, but of its `lower_bound` {claimed} only {bound} is proved yet"
+        ),
+        false => format!("`lower_bound` says {claimed}; what can be proved is {bound}"),
+    });
+    let finished = fault.is_none() || !stop();
+    Examined { fault, exempt, finished }
 }
 
+/// Moves, cost and status of the file against its actions.
 fn false_claim(problem: &Problem, file: &PlanFile, actions: &[Action]) -> Option<String> {
     if file.moves != Some(actions.len()) {
         return Some(match file.moves {
@@ -60,17 +84,7 @@ fn false_claim(problem: &Problem, file: &PlanFile, actions: &[Action]) -> Option
             file.lower_bound
         ));
     }
-    let bound = provable_bound(problem, file)?;
-    if file.lower_bound > bound && !same(file.lower_bound, bound) {
-        return Some(format!("`lower_bound` says {}; what can be proved is {bound}", file.lower_bound));
-    }
     None
-}
-
-/// The bound computed afresh; None for more objects than that is made for.
-fn provable_bound(problem: &Problem, file: &PlanFile) -> Option<f64> {
-    let few = problem.objects.len() <= ObjectSet::CAPACITY;
-    few.then(|| solver::provable_bound(&Scene::new(problem), file.objective, file.lower_bound))
 }
 
 fn same(a: f64, b: f64) -> bool {

@@ -8,7 +8,7 @@
 
 use crate::geometry::pose::Pose2;
 use crate::planning::buffers::Arrangement;
-use crate::planning::effort::Effort;
+use crate::planning::effort::{Effort, Watch};
 use crate::planning::scene::{Scene, Spot};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -18,8 +18,12 @@ use std::sync::Arc;
 /// Poses tried for one object without a goal.
 const SAMPLES: usize = 400;
 
-/// The goal pose each object is to take; None where the problem leaves it open.
-pub fn assigned_goals(scene: &Scene) -> Vec<Option<Pose2>> {
+/// Pairs of a start and a goal that are sorted by distance; of more, each start takes the nearest goal left.
+const MOST_PAIRS: usize = 100_000;
+
+/// The goal pose each object is to take; None where the problem leaves it open, or where `watch` ends the
+/// work.
+pub fn assigned_goals(scene: &Scene, watch: &mut Watch) -> Vec<Option<Pose2>> {
     let objects = &scene.problem.objects;
     let mut goals: Vec<Option<Pose2>> = objects.iter().map(|object| object.goal).collect();
     let mut groups: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
@@ -31,34 +35,26 @@ pub fn assigned_goals(scene: &Scene) -> Vec<Option<Pose2>> {
     for members in groups.values() {
         let starts: Vec<Pose2> = members.iter().map(|&i| objects[i].start).collect();
         let open: Vec<Pose2> = members.iter().filter_map(|&i| objects[i].goal).collect();
-        for (&member, taken) in members.iter().zip(match_to_goals(&starts, &open)) {
+        for (&member, taken) in members.iter().zip(match_to_goals(&starts, &open, watch)) {
             goals[member] = taken.map(|g| open[g]);
         }
     }
     goals
 }
 
-/// For each start the index of the goal it takes, at most one each: identical poses first, then greedily the
-/// nearest pairs, then exchanges of two as long as they shorten the way.
-pub fn match_to_goals(starts: &[Pose2], goals: &[Pose2]) -> Vec<Option<usize>> {
-    let cost = |s: usize, g: usize| {
-        // Staying counts far more than any distance on the table.
-        if starts[s].same(&goals[g]) { -1e6 } else { starts[s].distance(&goals[g]) }
-    };
-    let mut pairs: Vec<(usize, usize)> =
-        (0..starts.len()).flat_map(|s| (0..goals.len()).map(move |g| (s, g))).collect();
-    pairs.sort_by(|a, b| cost(a.0, a.1).total_cmp(&cost(b.0, b.1)));
-    let mut taken: Vec<Option<usize>> = vec![None; starts.len()];
-    for (s, g) in pairs {
-        if taken[s].is_none() && !taken.contains(&Some(g)) {
-            taken[s] = Some(g);
-        }
-    }
-    let total = |s: usize, g: Option<usize>| g.map_or(0.0, |g| cost(s, g));
+/// For each start the index of the goal it takes, at most one each: identical poses first, then greedily
+/// the nearest pairs, then exchanges of two as long as they shorten the way. Where `watch` ends the work,
+/// what was matched until then.
+pub fn match_to_goals(starts: &[Pose2], goals: &[Pose2], watch: &mut Watch) -> Vec<Option<usize>> {
+    let mut taken = nearest_goals(starts, goals, watch);
+    let total = |s: usize, g: Option<usize>| g.map_or(0.0, |g| cost(&starts[s], &goals[g]));
     let mut improved = true;
     while improved {
         improved = false;
         for a in 0..starts.len() {
+            if !watch.go_on(4 * starts.len() as u64) {
+                return taken;
+            }
             for b in a + 1..starts.len() {
                 let now = total(a, taken[a]) + total(b, taken[b]);
                 if total(a, taken[b]) + total(b, taken[a]) < now - 1e-9 {
@@ -66,6 +62,38 @@ pub fn match_to_goals(starts: &[Pose2], goals: &[Pose2]) -> Vec<Option<usize>> {
                     improved = true;
                 }
             }
+        }
+    }
+    taken
+}
+
+/// Staying counts far more than any distance on the table.
+fn cost(start: &Pose2, goal: &Pose2) -> f64 {
+    if start.same(goal) { -1e6 } else { start.distance(goal) }
+}
+
+/// The nearest pairs first.
+fn nearest_goals(starts: &[Pose2], goals: &[Pose2], watch: &mut Watch) -> Vec<Option<usize>> {
+    let mut taken: Vec<Option<usize>> = vec![None; starts.len()];
+    let mut is_left = vec![true; goals.len()];
+    if starts.len() * goals.len() > MOST_PAIRS {
+        for (s, start) in starts.iter().enumerate() {
+            if !watch.go_on(goals.len() as u64) {
+                break;
+            }
+            let left = (0..goals.len()).filter(|&g| is_left[g]);
+            taken[s] = left.min_by(|&a, &b| cost(start, &goals[a]).total_cmp(&cost(start, &goals[b])));
+            taken[s].into_iter().for_each(|g| is_left[g] = false);
+        }
+        return taken;
+    }
+    let pair = |s: usize, g: usize| (cost(&starts[s], &goals[g]), s, g);
+    let mut pairs: Vec<(f64, usize, usize)> =
+        (0..starts.len()).flat_map(|s| (0..goals.len()).map(move |g| pair(s, g))).collect();
+    pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
+    for (_, s, g) in pairs {
+        if taken[s].is_none() && is_left[g] {
+            (taken[s], is_left[g]) = (Some(g), false);
         }
     }
     taken
@@ -91,6 +119,9 @@ pub fn complete(
     for i in 0..ends.len() {
         if ends[i].is_none() {
             let start = scene.start(i);
+            if !effort.watch().go_on(scene.row_ticks()) {
+                return None;
+            }
             if ends.iter().flatten().all(|end| scene.clear(end, start)) {
                 ends[i] = Some(start.clone());
             } else {
@@ -138,10 +169,27 @@ fn free_end(
 mod tests {
     use super::*;
 
+    fn matched(starts: &[Pose2], goals: &[Pose2]) -> Vec<Option<usize>> {
+        match_to_goals(starts, goals, &mut Watch::new(&|| false))
+    }
+
+    #[test]
+    fn of_many_each_takes_a_goal_of_its_own_and_those_who_stand_at_one_keep_it() {
+        let count = MOST_PAIRS.isqrt() + 10;
+        let at = |k: usize| Pose2::new(k as f64, 0.0, 0.0);
+        let starts: Vec<Pose2> = (0..count).map(at).collect();
+        let goals: Vec<Pose2> = (count / 2..count / 2 + count).rev().map(at).collect();
+        let taken = matched(&starts, &goals);
+        let mut goals_taken: Vec<usize> = taken.iter().flatten().copied().collect();
+        goals_taken.sort_unstable();
+        assert_eq!(goals_taken, (0..count).collect::<Vec<_>>());
+        assert!((count / 2..count).all(|s| taken[s].is_some_and(|g| goals[g].same(&starts[s]))));
+    }
+
     #[test]
     fn who_stands_at_a_goal_keeps_it() {
         let at = |x: f64| Pose2::new(x, 0.0, 0.0);
-        let taken = match_to_goals(&[at(0.0), at(1.0), at(2.0)], &[at(1.0), at(2.1)]);
+        let taken = matched(&[at(0.0), at(1.0), at(2.0)], &[at(1.0), at(2.1)]);
         assert_eq!(taken, [None, Some(0), Some(1)]);
     }
 
@@ -149,7 +197,7 @@ mod tests {
     fn exchanges_shorten_the_way() {
         let at = |x: f64| Pose2::new(x, 0.0, 0.0);
         // The nearest pair (1.0, 1.1) first would send 0.0 to -3.0 or 3.0 whichever is left.
-        let taken = match_to_goals(&[at(0.0), at(1.0), at(4.0)], &[at(3.5), at(1.2), at(0.9)]);
+        let taken = matched(&[at(0.0), at(1.0), at(4.0)], &[at(3.5), at(1.2), at(0.9)]);
         assert_eq!(taken, [Some(2), Some(1), Some(0)]);
     }
 }

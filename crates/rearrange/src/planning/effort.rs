@@ -1,64 +1,122 @@
-//! The meter every search runs on: deterministic steps, a limit on them, and the caller's wish to stop.
+//! The meters every search runs on: deterministic steps, a limit on them, and the caller's wish to stop.
 //!
 //! In: a work limit and a stop function (the caller's clock, Ctrl-C). Out: whether to go on. A step is one
-//! sampled pose or one node of a graph search. The limit gives the same result on every run; the stop
-//! function is called once in `ASK_EVERY` steps and promises nothing of the kind.
+//! sampled pose or one node of a graph search. The limit on steps gives the same result on every run. The
+//! stop function promises nothing of the kind: it is asked by the amount of work since the last time, in
+//! ticks, so that a table of a thousand objects is stopped as promptly as one of ten.
 
-/// Steps between two questions to the stop function: a step costs about a microsecond, the question more.
-const ASK_EVERY: u64 = 128;
+/// Ticks between two questions to the stop function: less than a millisecond of work, and far more than the
+/// question costs.
+const ASK_EVERY: u64 = 16_384;
+
+/// Ticks of a step of which nothing else is known.
+const TICKS_OF_A_STEP: u64 = 128;
+
+/// A function that says when the caller wants no more: true ends the search.
+pub type StopFunction<'a> = &'a (dyn Fn() -> bool + Sync);
+
+/// Asks the caller's stop function once in a while. A tick is about what a test of two simple shapes costs.
+pub struct Watch<'a> {
+    stop: StopFunction<'a>,
+    /// Ticks until the next question.
+    left: u64,
+    /// Ticks of work that are still done once the caller wants no more.
+    grace: u64,
+    stopped: bool,
+}
+
+impl<'a> Watch<'a> {
+    /// A watch that asks at its first tick.
+    pub fn new(stop: StopFunction<'a>) -> Watch<'a> {
+        Watch { stop, left: 0, grace: 0, stopped: false }
+    }
+
+    /// A watch that lets work of so many ticks be finished after the caller wants no more.
+    pub fn with_grace(stop: StopFunction<'a>, grace: u64) -> Watch<'a> {
+        Watch { grace, ..Watch::new(stop) }
+    }
+
+    /// Counts work; false once the caller wants no more, and from then on.
+    pub fn go_on(&mut self, ticks: u64) -> bool {
+        if self.stopped {
+            return false;
+        }
+        match self.left.checked_sub(ticks) {
+            Some(left) => self.left = left,
+            None => {
+                self.left = ASK_EVERY;
+                if (self.stop)() {
+                    self.stopped = self.grace < ticks;
+                    self.grace = self.grace.saturating_sub(ticks.max(ASK_EVERY));
+                }
+            }
+        }
+        !self.stopped
+    }
+
+    /// The caller wants no more.
+    pub fn is_stopped(&self) -> bool {
+        self.stopped
+    }
+}
 
 /// Counts steps and says when a search has to end.
 pub struct Effort<'a> {
     done: u64,
     limit: u64,
-    next_question: u64,
-    stop: &'a (dyn Fn() -> bool + Sync),
-    stopped: bool,
+    ticks: u64,
+    spent: bool,
+    watch: Watch<'a>,
 }
 
 impl<'a> Effort<'a> {
     /// A meter at zero; no `limit` means that only `stop` ends the search.
-    pub fn new(limit: Option<u64>, stop: &'a (dyn Fn() -> bool + Sync)) -> Effort<'a> {
-        Effort { done: 0, limit: limit.unwrap_or(u64::MAX), next_question: 0, stop, stopped: false }
+    pub fn new(limit: Option<u64>, stop: StopFunction<'a>) -> Effort<'a> {
+        let (limit, watch) = (limit.unwrap_or(u64::MAX), Watch::new(stop));
+        Effort { done: 0, limit, ticks: TICKS_OF_A_STEP, spent: false, watch }
+    }
+
+    /// The same with the work that a step takes, in ticks.
+    pub fn with_ticks(self, ticks: u64) -> Effort<'a> {
+        Effort { ticks, ..self }
     }
 
     /// Counts one step; false once the search has to end, and from then on.
     pub fn step(&mut self) -> bool {
-        if self.stopped {
+        if self.is_over() {
             return false;
         }
         self.done += 1;
-        if self.done > self.limit {
-            self.stopped = true;
-        } else if self.done >= self.next_question {
-            self.next_question = self.done + ASK_EVERY;
-            self.stopped = (self.stop)();
-        }
-        !self.stopped
+        self.spent = self.done > self.limit;
+        !self.spent && self.watch.go_on(self.ticks)
+    }
+
+    /// For work that is no step: asks the caller as often as it takes.
+    pub fn watch(&mut self) -> &mut Watch<'a> {
+        &mut self.watch
     }
 
     /// A meter for a part of the search that may take `most` steps; pass what it took to [`Effort::spend`].
     pub fn part(&self, most: u64) -> Effort<'a> {
-        Effort::new(Some(most.min(self.left())), self.stop)
+        Effort::new(Some(most.min(self.left())), self.watch.stop).with_ticks(self.ticks)
     }
 
     /// Counts the steps of a part.
     pub fn spend(&mut self, part: &Effort) {
         self.done += part.done.min(part.limit);
-        // A part that ended within its limit was stopped from outside.
-        self.stopped |= part.stopped && part.done <= part.limit;
+        self.watch.stopped |= part.watch.stopped;
     }
 
     /// A meter for the rest of the search in another one, of whose steps `steps` count as one of these; pass
     /// what it took to [`Effort::spend_cheap`].
     pub fn cheap_part(&self, steps: u64) -> Effort<'a> {
-        Effort::new(Some(self.left().saturating_mul(steps)), self.stop)
+        Effort::new(Some(self.left().saturating_mul(steps)), self.watch.stop).with_ticks(self.ticks)
     }
 
     /// Counts the steps of a part of cheap steps.
     pub fn spend_cheap(&mut self, part: &Effort, steps: u64) {
         self.done += part.done.min(part.limit).div_ceil(steps);
-        self.stopped |= part.stopped && part.done <= part.limit;
+        self.watch.stopped |= part.watch.stopped;
     }
 
     /// Steps that may still be made.
@@ -68,7 +126,7 @@ impl<'a> Effort<'a> {
 
     /// The search has to end.
     pub fn is_over(&self) -> bool {
-        self.stopped
+        self.spent || self.watch.stopped
     }
 
     /// Steps counted so far.
@@ -80,6 +138,7 @@ impl<'a> Effort<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::sync::atomic::{AtomicU64, Ordering};
 
     #[test]
     fn the_limit_is_exact_and_final() {
@@ -124,5 +183,29 @@ mod tests {
     fn the_stop_function_is_requested() {
         let mut effort = Effort::new(None, &|| true);
         assert!(!effort.step());
+    }
+
+    #[test]
+    fn the_stop_function_is_asked_by_the_work_and_not_by_the_steps() {
+        let asked = AtomicU64::new(0);
+        let stop = || {
+            asked.fetch_add(1, Ordering::Relaxed);
+            false
+        };
+        let mut light = Effort::new(None, &stop).with_ticks(1);
+        (0..1000).for_each(|_| assert!(light.step()));
+        assert_eq!(asked.swap(0, Ordering::Relaxed), 1, "at the first step alone");
+        let mut heavy = Effort::new(None, &stop).with_ticks(ASK_EVERY + 1);
+        (0..1000).for_each(|_| assert!(heavy.step()));
+        assert_eq!(asked.swap(0, Ordering::Relaxed), 1000);
+        assert!(light.watch().go_on(ASK_EVERY + 1) && light.done() == 1000);
+        assert_eq!(asked.load(Ordering::Relaxed), 1, "for work between two steps");
+    }
+
+    #[test]
+    fn a_watch_that_was_stopped_ends_the_effort() {
+        let mut effort = Effort::new(None, &|| true);
+        assert!(!effort.watch().go_on(1) && effort.is_over() && !effort.step());
+        assert_eq!(effort.done(), 0);
     }
 }

@@ -36,8 +36,8 @@ impl DependencyGraph {
     }
 
     /// The objects that block the goal of `i`.
-    pub fn blockers(&self, i: usize) -> ObjectSet {
-        self.blockers[i]
+    pub fn blockers(&self, i: usize) -> &ObjectSet {
+        &self.blockers[i]
     }
 
     /// Every arc (i, j), in increasing order.
@@ -46,14 +46,22 @@ impl DependencyGraph {
     }
 
     /// The same graph with only the vertices of `kept`; the others lose all arcs.
-    pub fn restricted(&self, kept: ObjectSet) -> DependencyGraph {
+    pub fn restricted(&self, kept: &ObjectSet) -> DependencyGraph {
         let blockers = self
             .blockers
             .iter()
             .enumerate()
-            .map(|(i, set)| if kept.contains(i) { *set & kept } else { ObjectSet::EMPTY })
+            .map(|(i, set)| if kept.contains(i) { set & kept } else { ObjectSet::EMPTY })
             .collect();
         DependencyGraph { blockers }
+    }
+
+    /// The graph on these vertices, which are numbered in their order.
+    pub fn part(&self, vertices: &[usize]) -> DependencyGraph {
+        let mut number = vec![UNSEEN; self.len()];
+        vertices.iter().enumerate().for_each(|(at, &v)| number[v] = at);
+        let known = |set: &ObjectSet| set.iter().map(|j| number[j]).filter(|&at| at != UNSEEN).collect();
+        DependencyGraph { blockers: vertices.iter().map(|&v| known(&self.blockers[v])).collect() }
     }
 
     /// Strongly connected components, a component after all that it depends on (sinks first).
@@ -76,7 +84,7 @@ struct Tarjan<'a> {
     graph: &'a DependencyGraph,
     index: Vec<usize>,
     low: Vec<usize>,
-    open: ObjectSet,
+    open: Vec<bool>,
     stack: Vec<usize>,
     next: usize,
     components: Vec<Vec<usize>>,
@@ -89,7 +97,7 @@ impl<'a> Tarjan<'a> {
             graph,
             index: vec![UNSEEN; count],
             low: vec![UNSEEN; count],
-            open: ObjectSet::EMPTY,
+            open: vec![false; count],
             stack: Vec::new(),
             next: 0,
             components: Vec::new(),
@@ -100,7 +108,7 @@ impl<'a> Tarjan<'a> {
         self.index[v] = self.next;
         self.low[v] = self.next;
         self.next += 1;
-        self.open.insert(v);
+        self.open[v] = true;
         self.stack.push(v);
     }
 
@@ -109,15 +117,15 @@ impl<'a> Tarjan<'a> {
             return;
         }
         self.enter(root);
-        let mut path = vec![(root, self.graph.blockers(root))];
+        let graph = self.graph;
+        let mut path = vec![(root, graph.blockers(root).iter())];
         while let Some((v, successors)) = path.last_mut() {
             let v = *v;
-            if let Some(w) = successors.smallest() {
-                successors.remove(w);
+            if let Some(w) = successors.next() {
                 if self.index[w] == UNSEEN {
                     self.enter(w);
-                    path.push((w, self.graph.blockers(w)));
-                } else if self.open.contains(w) {
+                    path.push((w, graph.blockers(w).iter()));
+                } else if self.open[w] {
                     self.low[v] = self.low[v].min(self.index[w]);
                 }
                 continue;
@@ -135,7 +143,7 @@ impl<'a> Tarjan<'a> {
     fn close(&mut self, root: usize) {
         let mut component = Vec::new();
         while let Some(v) = self.stack.pop() {
-            self.open.remove(v);
+            self.open[v] = false;
             component.push(v);
             if v == root {
                 break;
@@ -174,9 +182,9 @@ mod tests {
 
     #[test]
     fn a_long_chain_needs_no_call_stack() {
-        let graph = DependencyGraph::from_fn(256, |i, j| j == i + 1);
-        let components = graph.components(&(0..256).collect::<Vec<_>>());
-        assert_eq!(components.len(), 256);
-        assert_eq!(components[0], [255]);
+        let graph = DependencyGraph::from_fn(3000, |i, j| j == i + 1);
+        let components = graph.components(&(0..3000).collect::<Vec<_>>());
+        assert_eq!(components.len(), 3000);
+        assert_eq!(components[0], [2999]);
     }
 }

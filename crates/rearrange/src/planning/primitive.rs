@@ -9,7 +9,7 @@
 //! preferred until a fixed number of nodes is spent, unless [`Preference::FirstFound`] selects the paper's
 //! first find.
 
-use crate::planning::effort::Effort;
+use crate::planning::effort::{Effort, Watch};
 use crate::planning::graph::DependencyGraph;
 use crate::planning::object_set::ObjectSet;
 use rand::seq::SliceRandom;
@@ -22,6 +22,9 @@ const NODES_PER_LIMIT: u64 = 50_000;
 
 /// Nodes spent on fewer buffered objects once the first plan of a component is there.
 const NODES_FOR_FEWER: u64 = 2_000;
+
+/// Objects sent home one after the other below which the search does not go: each takes stack.
+const DEEPEST: usize = 1_000;
 
 /// Where a step takes its object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -86,7 +89,7 @@ impl RunningBuffer<'_> {
         order.shuffle(rng);
         let mut limit = 0;
         loop {
-            let mut search = Search::new(self, all, &order, limit);
+            let mut search = Search::new(self, all.clone(), &order, limit);
             let complete = search.descend(State::default(), effort);
             if let Some(best) = search.best {
                 return Some(best);
@@ -113,7 +116,7 @@ pub struct ComponentPlan {
 }
 
 /// Objects at home, objects in buffers, and what the latter have cost on the way here.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Default)]
 struct State {
     home: ObjectSet,
     parked: ObjectSet,
@@ -142,6 +145,7 @@ struct Search<'a> {
     seen: HashMap<ObjectSet, f64>,
     path: Vec<Step>,
     nodes: u64,
+    depth: usize,
     best: Option<ComponentPlan>,
 }
 
@@ -156,6 +160,7 @@ impl<'a> Search<'a> {
             seen: HashMap::new(),
             path: Vec::new(),
             nodes: NODES_PER_LIMIT,
+            depth: 0,
             best: None,
         }
     }
@@ -164,7 +169,7 @@ impl<'a> Search<'a> {
     /// wanted.
     fn descend(&mut self, mut state: State, effort: &mut Effort) -> bool {
         let mark = self.path.len();
-        self.send_home_what_can_go(&mut state);
+        self.send_home_what_can_go(&mut state, effort.watch());
         let complete = self.descend_settled(state, effort);
         self.path.truncate(mark);
         complete
@@ -177,23 +182,34 @@ impl<'a> Search<'a> {
         if self.seen.get(&state.home).is_some_and(|&cost| cost <= state.cost) {
             return true;
         }
-        if self.nodes == 0 || !effort.step() {
+        if self.nodes == 0 || self.depth == DEEPEST || !effort.step() {
             return false;
         }
         self.nodes -= 1;
-        for Successor { object, parked, cost } in self.children(&state) {
-            if self.best.as_ref().is_some_and(|best| state.cost + cost >= best.cost) {
-                continue;
-            }
-            let child = self.enter(&state, object, parked, cost);
-            if !self.descend(child, effort) {
-                return false;
-            }
-            self.path.truncate(self.path.len() - parked.len() - 1);
+        self.depth += 1;
+        let complete = self.descend_children(&state, effort);
+        self.depth -= 1;
+        if !complete {
+            return false;
         }
         // Exhausted before any plan was known means dead, whatever was paid on the way here.
         let dead = if self.best.is_none() { f64::NEG_INFINITY } else { state.cost };
         self.seen.insert(state.home, dead);
+        true
+    }
+
+    fn descend_children(&mut self, state: &State, effort: &mut Effort) -> bool {
+        for Successor { object, parked, cost } in self.children(state) {
+            if self.best.as_ref().is_some_and(|best| state.cost + cost >= best.cost) {
+                continue;
+            }
+            let steps = parked.len() + 1;
+            let child = self.enter(state, object, &parked, cost);
+            if !self.descend(child, effort) {
+                return false;
+            }
+            self.path.truncate(self.path.len() - steps);
+        }
         true
     }
 
@@ -208,12 +224,12 @@ impl<'a> Search<'a> {
         self.buffer.preference == Preference::FewerBuffers
     }
 
-    fn send_home_what_can_go(&mut self, state: &mut State) {
+    fn send_home_what_can_go(&mut self, state: &mut State, watch: &mut Watch) {
         let mut going = true;
-        while going {
+        while going && watch.go_on(self.order.len() as u64) {
             going = false;
             for &object in self.order {
-                let open = self.blockers(object).is_subset(&(state.home | state.parked));
+                let open = self.blockers(object).is_subset(&(&state.home | &state.parked));
                 if open && !state.home.contains(object) {
                     state.home.insert(object);
                     state.parked.remove(object);
@@ -225,7 +241,7 @@ impl<'a> Search<'a> {
     }
 
     fn blockers(&self, object: usize) -> ObjectSet {
-        self.buffer.graph.blockers(object) & self.all
+        self.buffer.graph.blockers(object) & &self.all
     }
 
     /// Objects that could go home next, with the blockers that would have to make way and their cost, those
@@ -236,13 +252,14 @@ impl<'a> Search<'a> {
             if state.home.contains(object) {
                 continue;
             }
-            let parked = self.blockers(object) - state.home - state.parked;
-            let peak = (state.parked | parked).weight(self.buffer.weights);
+            let parked = self.blockers(object) - &state.home - &state.parked;
+            let peak = (&state.parked | &parked).weight(self.buffer.weights);
             if peak > self.limit {
                 self.next_limit = self.next_limit.min(peak);
                 continue;
             }
-            children.push(Successor { object, parked, cost: parked.weight(self.buffer.costs) });
+            let cost = parked.weight(self.buffer.costs);
+            children.push(Successor { object, parked, cost });
         }
         if self.buffer.preference == Preference::FewerBuffers {
             children.sort_by(|a, b| a.cost.total_cmp(&b.cost));
@@ -251,12 +268,12 @@ impl<'a> Search<'a> {
     }
 
     /// Parks `parked`, then sends `object` home.
-    fn enter(&mut self, state: &State, object: usize, parked: ObjectSet, cost: f64) -> State {
+    fn enter(&mut self, state: &State, object: usize, parked: &ObjectSet, cost: f64) -> State {
         for &blocker in self.order.iter().filter(|&&o| parked.contains(o)) {
             self.path.push(Step { object: blocker, target: Target::Buffer });
         }
         self.path.push(Step { object, target: Target::Goal });
-        let in_buffers = state.parked | parked;
+        let in_buffers = &state.parked | parked;
         State {
             home: state.home.with(object),
             parked: in_buffers.without(object),
@@ -296,7 +313,7 @@ mod tests {
                     peak = peak.max(parked.weight(weights));
                 }
                 Target::Goal => {
-                    assert!(graph.blockers(step.object).is_subset(&(home | parked)), "{step:?}");
+                    assert!(graph.blockers(step.object).is_subset(&(&home | &parked)), "{step:?}");
                     home.insert(step.object);
                     parked.remove(step.object);
                 }
@@ -307,12 +324,17 @@ mod tests {
     }
 
     /// Minimum peak over every order of going home.
-    fn brute_force_peak(graph: &DependencyGraph, weights: &[u32], home: ObjectSet, parked: ObjectSet) -> u32 {
+    fn brute_force_peak(
+        graph: &DependencyGraph,
+        weights: &[u32],
+        home: &ObjectSet,
+        parked: &ObjectSet,
+    ) -> u32 {
         let rest = ObjectSet::first(graph.len()) - home;
         rest.iter()
             .map(|i| {
                 let parked = parked | (graph.blockers(i) - home);
-                let after = brute_force_peak(graph, weights, home.with(i), parked.without(i));
+                let after = brute_force_peak(graph, weights, &home.with(i), &parked.without(i));
                 parked.weight(weights).max(after)
             })
             .min()
@@ -329,7 +351,7 @@ mod tests {
             let weights: Vec<u32> = (0..count).map(|_| rng.random_range(1..5)).collect();
             let plan = plan_all(&graph, &weights, Preference::FewerBuffers, case);
             assert_eq!(replay(&graph, &weights, &plan.steps), plan.peak);
-            let wanted = brute_force_peak(&graph, &weights, ObjectSet::EMPTY, ObjectSet::EMPTY);
+            let wanted = brute_force_peak(&graph, &weights, &ObjectSet::EMPTY, &ObjectSet::EMPTY);
             assert_eq!(plan.peak, wanted, "case {case}: {graph:?}");
         }
     }

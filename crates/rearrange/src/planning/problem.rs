@@ -232,6 +232,7 @@ impl Problem {
             .zip(&poses)
             .map(|(object, pose)| pose.map(|pose| Placed::new(&object.footprint, pose)))
             .collect();
+        let near = neighbours(&placed);
         let mut note = |object: &str, meets: &str, depth_m: f64| {
             if depth_m > TOUCH_M {
                 out.push(Witness { object: object.to_string(), meets: meets.to_string(), depth_m });
@@ -244,9 +245,9 @@ impl Problem {
             for (k, region) in self.keep_out.iter().enumerate() {
                 note(&object.id, &format!("keep_out[{k}]"), shape.penetration(&region.placed));
             }
-            for (other, placed) in self.objects.iter().zip(&placed).skip(i + 1) {
-                if let Some(placed) = placed {
-                    note(&object.id, &other.id, shape.penetration(placed));
+            for &k in &near[i] {
+                if let Some(placed) = &placed[k] {
+                    note(&object.id, &self.objects[k].id, shape.penetration(placed));
                 }
             }
         }
@@ -261,6 +262,21 @@ impl ProblemObject {
             Given::Goal => self.goal,
         }
     }
+}
+
+/// For each object the later ones that lie beside it in x, in order: of a thousand objects few can touch.
+fn neighbours(placed: &[Option<Placed>]) -> Vec<Vec<usize>> {
+    let spans = placed.iter().enumerate().filter_map(|(i, shape)| Some((shape.as_ref()?.span_x(), i)));
+    let mut spans: Vec<([f64; 2], usize)> = spans.collect();
+    spans.sort_by(|a, b| a.0[0].total_cmp(&b.0[0]));
+    let mut near = vec![Vec::new(); placed.len()];
+    for (at, ([_, high], i)) in spans.iter().enumerate() {
+        for (_, k) in spans[at + 1..].iter().take_while(|([low, _], _)| low <= high) {
+            near[*i.min(k)].push(*i.max(k));
+        }
+    }
+    near.iter_mut().for_each(|later| later.sort_unstable());
+    near
 }
 
 fn check_groups(objects: &[ProblemObject], faults: &mut Vec<ProblemFault>) {

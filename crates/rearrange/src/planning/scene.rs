@@ -42,6 +42,7 @@ pub struct Scene<'a> {
     fixed: Vec<Arc<Spot>>,
     keep_out: Vec<Placed>,
     cores: Vec<f64>,
+    row_ticks: u64,
 }
 
 impl<'a> Scene<'a> {
@@ -65,7 +66,14 @@ impl<'a> Scene<'a> {
             keep_out: problem.keep_out.iter().map(|k| Placed::new(&k.footprint, k.pose)).collect(),
             starts,
             cores,
+            row_ticks: row_ticks(problem),
         }
+    }
+
+    /// What it takes to test one object at one pose against all others, in ticks of
+    /// [`Watch`](crate::planning::effort::Watch).
+    pub fn row_ticks(&self) -> u64 {
+        self.row_ticks
     }
 
     /// The object's start.
@@ -162,6 +170,25 @@ impl<'a> Scene<'a> {
         let y = between(rng, -y_min, height - y_max)?;
         Some(self.spot(object, Pose2::new(x, y, theta)))
     }
+}
+
+/// A pair of discs takes a tick, one of other shapes more by their corners, of which every pair counts.
+fn row_ticks(problem: &Problem) -> u64 {
+    /// Pairs of corners that take as long as a pair of discs.
+    const CORNERS_OF_A_TICK: usize = 16;
+    /// For whoever is asked if a place is within reach.
+    const TICKS_OF_REACH: u64 = 1000;
+    let corners = |footprint: &Footprint| match footprint {
+        Footprint::Disc { .. } => 1,
+        Footprint::Rectangle { .. } => 4,
+        // Two of them take as long as two polygons of so many corners.
+        Footprint::Ellipse { .. } => 16,
+        Footprint::Polygon(polygon) => polygon.parts().iter().map(Vec::len).sum(),
+    };
+    let all = || problem.objects.iter().map(|o| corners(&o.footprint));
+    let most = all().max().unwrap_or(0);
+    let reach = if problem.reach.is_some() { TICKS_OF_REACH } else { 0 };
+    all().map(|of_one| 1 + (of_one * most / CORNERS_OF_A_TICK) as u64).sum::<u64>() + reach
 }
 
 fn between(rng: &mut ChaCha8Rng, low: f64, high: f64) -> Option<f64> {

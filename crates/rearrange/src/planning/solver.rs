@@ -5,14 +5,13 @@
 //! caller gets it. Deterministic: the same seed and work limit give the same outcome; no clock is read here.
 
 use crate::planning::bound::buffer_space::BufferSpaceBound;
-use crate::planning::bound::{self, LowerBound};
+use crate::planning::bound::{LowerBound, Parts};
 use crate::planning::check::CheckedPlan;
-use crate::planning::effort::Effort;
-use crate::planning::object_set::ObjectSet;
+use crate::planning::effort::{Effort, StopFunction, Watch};
 use crate::planning::plan::{Objective, Status};
-use crate::planning::problem::{Problem, ProblemObject, Witness};
+use crate::planning::problem::{Problem, Witness};
 use crate::planning::scene::Scene;
-use crate::planning::solver::incumbent::Incumbent;
+use crate::planning::solver::incumbent::{Incumbent, Moves};
 
 pub use crate::planning::solver::control::{Control, PlanSeconds, SolverKind, cost, reaches};
 
@@ -41,51 +40,51 @@ pub struct Outcome {
 /// Why a solver cannot even start.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SolveError {
-    /// More objects than the bitsets hold.
-    #[error("{found} objects; the planner takes at most {most}")]
-    TooManyObjects {
-        /// Objects of the problem.
-        found: usize,
-        /// The limit.
-        most: usize,
-    },
     /// The objective `time` without a source of move times.
     #[error("the objective time needs a cell that knows how long its moves take; use pp or ti here")]
     NoTimes,
 }
 
+/// What one move of each object costs where moves are counted: its impedance under TI, else 1.
+fn move_costs(problem: &Problem, objective: Objective) -> Vec<f64> {
+    let weighs = objective == Objective::Ti;
+    problem.objects.iter().map(|object| if weighs { object.impedance } else { 1.0 }).collect()
+}
+
+/// What a unit of these costs is worth at least in the objective.
+fn worth(objective: Objective, least_move_seconds: f64) -> f64 {
+    if objective == Objective::Time { least_move_seconds } else { 1.0 }
+}
+
 /// The lower bound on the cost of every plan in an objective.
-pub fn lower_bound(scene: &Scene, objective: Objective, least_move_seconds: f64) -> LowerBound {
-    let objects = &scene.problem.objects;
-    match objective {
-        Objective::Pp => bound::lower_bound(scene, &vec![1.0; objects.len()]),
-        Objective::Ti => {
-            let impedances: Vec<f64> = objects.iter().map(|object| object.impedance).collect();
-            bound::lower_bound(scene, &impedances)
-        }
-        Objective::Time => {
-            let moves = bound::lower_bound(scene, &vec![1.0; objects.len()]);
-            LowerBound {
-                value: moves.value * least_move_seconds,
-                required_moves: moves.required_moves,
-                required_cost: moves.required_cost * least_move_seconds,
-                cycle_cost: moves.cycle_cost * least_move_seconds,
-            }
-        }
+pub fn lower_bound(
+    scene: &Scene,
+    objective: Objective,
+    least_move_seconds: f64,
+    watch: &mut Watch,
+) -> LowerBound {
+    let worth = worth(objective, least_move_seconds);
+    let bound = Parts::new(scene, &move_costs(scene.problem, objective), watch).bound();
+    LowerBound {
+        value: bound.value * worth,
+        required_moves: bound.required_moves,
+        required_cost: bound.required_cost * worth,
+        cycle_cost: bound.cycle_cost * worth,
     }
 }
 
 /// The bound that can be proved for the objectives that need no caller, with what `auto` proves about room;
-/// no longer than needed to reach `claimed`.
-pub fn provable_bound(scene: &Scene, objective: Objective, claimed: f64) -> f64 {
-    let simple = lower_bound(scene, objective, 0.0).value;
+/// no longer than needed to reach `claimed`, or than `stop` allows.
+pub fn provable_bound(scene: &Scene, objective: Objective, claimed: f64, stop: StopFunction) -> f64 {
+    let mut effort = Effort::new(None, stop).with_ticks(scene.row_ticks());
+    let costs = move_costs(scene.problem, objective);
+    let parts = Parts::new(scene, &costs, effort.watch());
+    let simple = parts.bound().value * worth(objective, 0.0);
     if objective == Objective::Time || simple >= claimed {
         return simple;
     }
-    let weigh = |o: &ProblemObject| if objective == Objective::Ti { o.impedance } else { 1.0 };
-    let costs: Vec<f64> = scene.problem.objects.iter().map(weigh).collect();
-    let mut proof = BufferSpaceBound::new(scene, &costs);
-    proof.work(claimed, &mut Effort::new(None, &|| false));
+    let mut proof = BufferSpaceBound::new(scene, &costs, parts, effort.watch());
+    proof.work(claimed, &mut effort);
     proof.value.max(simple)
 }
 
@@ -100,22 +99,21 @@ pub fn solve(
     control: &Control,
     seed: u64,
 ) -> Result<Outcome, SolveError> {
-    if problem.objects.len() > ObjectSet::CAPACITY {
-        let (found, most) = (problem.objects.len(), ObjectSet::CAPACITY);
-        return Err(SolveError::TooManyObjects { found, most });
-    }
     if objective == Objective::Time && control.seconds.is_none() {
         return Err(SolveError::NoTimes);
     }
     let scene = Scene::new(problem);
-    let lower_bound = lower_bound(&scene, objective, control.least_move_seconds).value;
+    let mut effort = Effort::new(control.work_limit, control.stop).with_ticks(scene.row_ticks());
+    let costs = move_costs(problem, objective);
+    let parts = Parts::new(&scene, &costs, effort.watch());
+    let lower_bound = parts.bound().value * worth(objective, control.least_move_seconds);
+    (control.on_bound)(lower_bound);
     if let Some(witness) = problem.goal_conflict() {
         let status = Status::Infeasible;
         return Ok(Outcome { status, plan: None, cost: None, lower_bound, witness: Some(witness), work: 0 });
     }
-    let mut effort = Effort::new(control.work_limit, control.stop);
     let mut incumbent = Incumbent::new(problem, objective, control, lower_bound);
-    incumbent::run(&scene, solver, seed, &mut incumbent, &mut effort);
+    incumbent::run(&scene, solver, seed, &Moves { costs, parts }, &mut incumbent, &mut effort);
     let Incumbent { best, lower_bound, .. } = incumbent;
     let (plan, cost) = best.unzip();
     let status = match cost {

@@ -10,7 +10,7 @@
 //! set make way, here each does as late, and goes home as early, as the order allows, so that few wait at
 //! the same time.
 
-use crate::planning::effort::Effort;
+use crate::planning::effort::{Effort, Watch};
 use crate::planning::feedback;
 use crate::planning::graph::DependencyGraph;
 use crate::planning::object_set::ObjectSet;
@@ -20,6 +20,9 @@ use rand_chacha::ChaCha8Rng;
 
 /// Nodes of the feedback vertex set search for one component; no public graph at density 0.4 needs as many.
 const NODE_LIMIT: u64 = 20_000;
+
+/// The same for one of more than 64 objects, whose nodes take about ten times as long.
+const NODE_LIMIT_OF_MANY: u64 = 2_000;
 
 /// What a total-buffer search needs to know of the objects.
 pub struct TotalBuffers<'a> {
@@ -39,7 +42,7 @@ impl TotalBuffers<'_> {
         for mut component in self.graph.components(&order) {
             component.shuffle(rng);
             let making_way = self.feedback_set(&component, effort)?;
-            steps.extend(Ordering::new(self, &component, making_way).run(rng));
+            steps.extend(Ordering::new(self, &component, making_way).run(rng, effort.watch())?);
         }
         Some(steps)
     }
@@ -50,11 +53,10 @@ impl TotalBuffers<'_> {
         if component.len() == 1 {
             return Some(ObjectSet::EMPTY);
         }
-        let graph = DependencyGraph::from_fn(component.len(), |i, j| {
-            self.graph.blockers(component[i]).contains(component[j])
-        });
+        let graph = self.graph.part(component);
         let weights: Vec<f64> = component.iter().map(|&o| self.weights[o]).collect();
-        let found = feedback::minimum_within(&graph, &weights, NODE_LIMIT);
+        let nodes = if component.len() <= 64 { NODE_LIMIT } else { NODE_LIMIT_OF_MANY };
+        let found = feedback::minimum_within(&graph, &weights, nodes, effort.watch());
         for _ in 0..found.nodes {
             if !effort.step() {
                 return None;
@@ -88,8 +90,11 @@ impl<'a> Ordering<'a> {
         }
     }
 
-    fn run(mut self, rng: &mut ChaCha8Rng) -> Vec<Step> {
+    fn run(mut self, rng: &mut ChaCha8Rng, watch: &mut Watch) -> Option<Vec<Step>> {
         while self.home != self.all {
+            if !watch.go_on(self.objects.len() as u64) {
+                return None;
+            }
             self.objects.shuffle(rng);
             let open = self.objects.iter().copied().find(|&o| self.in_the_way(o).is_empty());
             // Without the objects that make way the rest has no cycle: some object is blocked by these
@@ -104,12 +109,12 @@ impl<'a> Ordering<'a> {
             self.parked.remove(next);
             self.objects.retain(|&o| o != next);
         }
-        self.steps
+        Some(self.steps)
     }
 
     /// Objects at their old place that block the goal of `object`.
     fn in_the_way(&self, object: usize) -> ObjectSet {
-        (self.plan.graph.blockers(object) & self.all) - self.home - self.parked
+        (self.plan.graph.blockers(object) & &self.all) - &self.home - &self.parked
     }
 
     /// The object that can go home once the cheapest objects of the set have made way; first of these in the
@@ -145,7 +150,7 @@ mod tests {
                     ever.insert(step.object);
                 }
                 Target::Goal => {
-                    assert!(graph.blockers(step.object).is_subset(&(home | parked)), "{step:?}");
+                    assert!(graph.blockers(step.object).is_subset(&(&home | &parked)), "{step:?}");
                     home.insert(step.object);
                     parked.remove(step.object);
                 }
@@ -156,12 +161,12 @@ mod tests {
     }
 
     /// Least weight of objects that move twice, over every order of going home: who blocks makes way.
-    fn brute_force(graph: &DependencyGraph, weights: &[f64], home: ObjectSet, parked: ObjectSet) -> f64 {
+    fn brute_force(graph: &DependencyGraph, weights: &[f64], home: &ObjectSet, parked: &ObjectSet) -> f64 {
         let rest = ObjectSet::first(graph.len()) - home;
         rest.iter()
             .map(|i| {
                 let new = graph.blockers(i) - home - parked;
-                let after = brute_force(graph, weights, home.with(i), (parked | new).without(i));
+                let after = brute_force(graph, weights, &home.with(i), &(parked | &new).without(i));
                 new.weight(weights) + after
             })
             .min_by(f64::total_cmp)
@@ -177,7 +182,7 @@ mod tests {
             let graph = DependencyGraph::from_fn(count, |_, _| rng.random_bool(density));
             let weights: Vec<f64> = (0..count).map(|_| f64::from(rng.random_range(1..5u32))).collect();
             let buffered = replay(&graph, &plan(&graph, &weights, case)).weight(&weights);
-            let wanted = brute_force(&graph, &weights, ObjectSet::EMPTY, ObjectSet::EMPTY);
+            let wanted = brute_force(&graph, &weights, &ObjectSet::EMPTY, &ObjectSet::EMPTY);
             assert!((buffered - wanted).abs() < 1e-9, "case {case}: {buffered} not {wanted}; {graph:?}");
         }
     }

@@ -10,8 +10,9 @@
 
 use crate::planning::buffers::{Arrangement, allocate};
 use crate::planning::detour;
-use crate::planning::effort::Effort;
+use crate::planning::effort::{Effort, Watch};
 use crate::planning::graph::DependencyGraph;
+use crate::planning::object_set::ObjectSet;
 use crate::planning::primitive::Step;
 use crate::planning::scene::{Scene, Spot};
 use rand::RngExt;
@@ -20,6 +21,10 @@ use std::sync::Arc;
 
 /// Nodes of one tree after which both are dropped.
 const TREE_LIMIT: usize = 3000;
+
+/// Positions of objects in one tree after which both are dropped: a node has one of each object, of 8 bytes
+/// and a spot that it may share.
+const POSITION_LIMIT: usize = 10_000_000;
 
 /// Nodes of a tree from which on objects that are stuck get a place cleared: most problems need none, and
 /// detours cost moves.
@@ -83,7 +88,9 @@ impl Trees {
 
     /// Nothing grows any more.
     pub fn are_full(&self) -> bool {
-        self.trees.iter().any(|tree| tree.len() >= TREE_LIMIT)
+        let most =
+            |tree: &[Node]| POSITION_LIMIT / tree.first().map_or(1, |root| root.arrangement.len().max(1));
+        self.trees.iter().any(|tree| tree.len() >= TREE_LIMIT.min(most(tree).max(2)))
     }
 }
 
@@ -151,7 +158,7 @@ impl Trlb<'_> {
         effort: &mut Effort,
     ) -> Option<Vec<Move>> {
         let far = &trees[1 - near];
-        let nearest = nearest_node(far, &trees[near][new].arrangement);
+        let nearest = nearest_node(far, &trees[near][new].arrangement, effort.watch())?;
         let link = self.attempt(&trees[near][new].arrangement, &far[nearest].arrangement, rng, effort);
         link.complete.then(|| join(trees, near, new, link.moves, nearest))
     }
@@ -185,10 +192,10 @@ impl Trlb<'_> {
     ) -> Attempt {
         let objects: Vec<usize> =
             self.scene.movable.iter().copied().filter(|&o| from[o].pose != to[o].pose).collect();
-        let graph = DependencyGraph::from_fn(objects.len(), |i, j| {
-            !self.scene.clear(&to[objects[i]], &from[objects[j]])
-        });
-        let Some(steps) = (self.planner)(&graph, &objects, rng, effort) else {
+        let steps = self
+            .graph(from, to, &objects, effort.watch())
+            .and_then(|graph| (self.planner)(&graph, &objects, rng, effort));
+        let Some(steps) = steps else {
             return Attempt { moves: Vec::new(), reached: from.clone(), complete: false, stuck: None };
         };
         let steps: Vec<Step> = steps.iter().map(|s| Step { object: objects[s.object], ..*s }).collect();
@@ -196,6 +203,24 @@ impl Trlb<'_> {
         let mut reached = from.clone();
         let moves = carry_out(&mut reached, allocated.moves);
         Attempt { moves, reached, complete: allocated.complete, stuck: allocated.stuck }
+    }
+
+    /// Who of the objects waits for whom on the way from one arrangement to the other; None where `watch`
+    /// ends the work.
+    fn graph(
+        &self,
+        from: &Arrangement,
+        to: &Arrangement,
+        objects: &[usize],
+        watch: &mut Watch,
+    ) -> Option<DependencyGraph> {
+        let blocks = |i: usize, j: usize| i != j && !self.scene.clear(&to[objects[i]], &from[objects[j]]);
+        let blockers = |i: usize| -> Option<ObjectSet> {
+            let row = || (0..objects.len()).filter(|&j| blocks(i, j)).collect();
+            watch.go_on(self.scene.row_ticks()).then(row)
+        };
+        let blockers: Option<Vec<ObjectSet>> = (0..objects.len()).map(blockers).collect();
+        blockers.map(DependencyGraph::from_blockers)
     }
 }
 
@@ -209,11 +234,22 @@ fn carry_out(arrangement: &mut Arrangement, steps: Vec<(usize, Arc<Spot>)>) -> V
     steps.map(step).collect()
 }
 
-/// The node whose arrangement differs from `arrangement` in the fewest objects; the oldest of these.
-fn nearest_node(tree: &[Node], arrangement: &Arrangement) -> usize {
+/// The node whose arrangement differs from `arrangement` in the fewest objects; the oldest of these. None
+/// where `watch` ends the work.
+fn nearest_node(tree: &[Node], arrangement: &Arrangement, watch: &mut Watch) -> Option<usize> {
     let differing =
         |node: &Node| node.arrangement.iter().zip(arrangement).filter(|(a, b)| a.pose != b.pose).count();
-    tree.iter().enumerate().min_by_key(|(_, node)| differing(node)).map_or(0, |(at, _)| at)
+    let mut nearest: Option<(usize, usize)> = None;
+    for (at, node) in tree.iter().enumerate() {
+        if !watch.go_on(arrangement.len() as u64) {
+            return None;
+        }
+        let far = differing(node);
+        if nearest.is_none_or(|(least, _)| far < least) {
+            nearest = Some((far, at));
+        }
+    }
+    nearest.map(|(_, at)| at)
 }
 
 /// The plan over `near_node` of the tree `near`, the link, and `far_node` of the other tree, from start to

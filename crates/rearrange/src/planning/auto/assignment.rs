@@ -8,6 +8,7 @@ use crate::geometry::pose::Pose2;
 use crate::planning::auto::aside::node_limit;
 use crate::planning::auto::table::Table;
 use crate::planning::buffers::Arrangement;
+use crate::planning::effort::Watch;
 use crate::planning::feedback;
 use crate::planning::object_set::ObjectSet;
 use crate::planning::scene::{Scene, Spot};
@@ -25,7 +26,7 @@ pub struct Groups {
     /// Movable members of each group that has more than one.
     members: Vec<Vec<usize>>,
     /// The goals that each object may take.
-    goals: Vec<Vec<Pose2>>,
+    goals: Vec<Arc<[Pose2]>>,
 }
 
 impl Groups {
@@ -38,9 +39,9 @@ impl Groups {
                 by_name.entry(name).or_default().push(o);
             }
         }
-        let mut goals: Vec<Vec<Pose2>> = objects.iter().map(|o| o.goal.into_iter().collect()).collect();
+        let mut goals: Vec<Arc<[Pose2]>> = objects.iter().map(|o| o.goal.into_iter().collect()).collect();
         for members in by_name.values() {
-            let shared: Vec<Pose2> = members.iter().filter_map(|&o| objects[o].goal).collect();
+            let shared: Arc<[Pose2]> = members.iter().filter_map(|&o| objects[o].goal).collect();
             members.iter().for_each(|&o| goals[o] = shared.clone());
         }
         Groups { members: by_name.into_values().filter(|members| members.len() > 1).collect(), goals }
@@ -92,11 +93,14 @@ impl Groups {
         from: &Arrangement,
         ends: Arrangement,
         rng: &mut ChaCha8Rng,
+        watch: &mut Watch,
     ) -> Arrangement {
         if self.is_empty() {
             return ends;
         }
-        let price = |ends: &Arrangement| promise(scene, costs, from, ends);
+        // What there is no time to price is no improvement.
+        let mut price =
+            |ends: &Arrangement| promise(scene, costs, from, ends, watch).unwrap_or(f64::INFINITY);
         let (mut best, mut least) = (ends.clone(), price(&ends));
         for _ in 0..EXCHANGES {
             let Some(new) = self.exchanged(scene, &best, rng) else { continue };
@@ -110,8 +114,14 @@ impl Groups {
 }
 
 /// No way between the two arrangements costs less.
-fn promise(scene: &Scene, costs: &[f64], from: &Arrangement, ends: &Arrangement) -> f64 {
-    let table = Table::new(scene, from, ends, ObjectSet::EMPTY);
-    let set = feedback::minimum_within(&table.graph(), costs, node_limit(ends.len()));
-    table.remaining.weight(costs) + set.lower_bound
+fn promise(
+    scene: &Scene,
+    costs: &[f64],
+    from: &Arrangement,
+    ends: &Arrangement,
+    watch: &mut Watch,
+) -> Option<f64> {
+    let table = Table::new(scene, from, ends, ObjectSet::EMPTY, watch)?;
+    let set = feedback::minimum_within(&table.graph(), costs, node_limit(ends.len()), watch);
+    Some(table.remaining.weight(costs) + set.lower_bound)
 }

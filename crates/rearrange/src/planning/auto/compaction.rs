@@ -13,7 +13,7 @@ use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
 use crate::planning::auto::parking;
 use crate::planning::buffers::Arrangement;
-use crate::planning::effort::Effort;
+use crate::planning::effort::{Effort, Watch};
 use crate::planning::object_set::ObjectSet;
 use crate::planning::scene::{Scene, Spot};
 use crate::planning::trlb::{Move, tidy};
@@ -97,6 +97,8 @@ impl<'a> Compaction<'a> {
             let place = self.ends[object].clone();
             if self.now[object].pose == place.pose {
                 self.loose.pop();
+            } else if !effort.watch().go_on(self.scene.row_ticks()) {
+                return Progress::Interrupted;
             } else if self.is_free(object, &place) {
                 self.put(object, place);
                 self.condense(object, shortcut, rng, effort);
@@ -129,7 +131,7 @@ impl<'a> Compaction<'a> {
     fn condense(&mut self, object: usize, shortcut: &Shortcut, rng: &mut ChaCha8Rng, effort: &mut Effort) {
         let Some((before, shifts)) = self.opening.take() else { return };
         let mut needed = before.clone();
-        self.needed_by(object, &before).iter().for_each(|o| needed[o] = self.now[o].clone());
+        self.needed_by(object, &before, effort.watch()).iter().for_each(|o| needed[o] = self.now[o].clone());
         match shortcut(&before, &needed, rng, effort) {
             Some(moves) if moves.len() <= shifts.len() => {
                 self.moves.extend(moves);
@@ -140,15 +142,20 @@ impl<'a> Compaction<'a> {
     }
 
     /// The object, those that were `before` where it is now, those that were where these are, and so on.
-    fn needed_by(&self, object: usize, before: &Arrangement) -> ObjectSet {
+    /// All that are loose where `watch` ends the work.
+    fn needed_by(&self, object: usize, before: &Arrangement, watch: &mut Watch) -> ObjectSet {
         let mut needed = ObjectSet::EMPTY.with(object);
-        let mut fringe = needed;
-        while let Some(o) = fringe.smallest() {
-            fringe.remove(o);
-            let others = self.scene.movable.iter().copied().filter(|&j| !needed.contains(j));
-            let new: ObjectSet = others.filter(|&j| !self.scene.clear(&self.now[o], &before[j])).collect();
-            needed = needed | new;
-            fringe = fringe | new;
+        let mut fringe = vec![object];
+        while let Some(o) = fringe.pop() {
+            if !watch.go_on(self.scene.row_ticks()) {
+                return self.scene.movable.iter().copied().collect();
+            }
+            for &j in &self.scene.movable {
+                if !needed.contains(j) && !self.scene.clear(&self.now[o], &before[j]) {
+                    needed.insert(j);
+                    fringe.push(j);
+                }
+            }
         }
         needed
     }
@@ -263,7 +270,7 @@ mod tests {
                 }
             };
             let steps: Vec<(usize, Arc<Spot>)> = moves.iter().map(|m| (m.object, m.to.clone())).collect();
-            assert!(carried_out(&scene, &start, &steps).is_some(), "seed {seed}");
+            assert!(carried_out(&scene, &start, &steps, &mut Watch::new(&|| false)).is_some(), "seed {seed}");
             let mut now = start.clone();
             moves.iter().for_each(|m| now[m.object] = m.to.clone());
             arrived += usize::from(now.iter().zip(&goal).all(|(a, b)| a.pose == b.pose));

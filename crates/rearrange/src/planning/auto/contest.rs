@@ -9,7 +9,7 @@
 use crate::planning::auto::aside::node_limit;
 use crate::planning::auto::parking;
 use crate::planning::auto::table::Table;
-use crate::planning::effort::Effort;
+use crate::planning::effort::{Effort, Watch};
 use crate::planning::feedback;
 use crate::planning::graph::DependencyGraph;
 use crate::planning::object_set::ObjectSet;
@@ -67,11 +67,11 @@ impl Contest<'_> {
         let mut seen: Vec<ObjectSet> = Vec::new();
         places.retain(|place| {
             let new = !seen.contains(&place.displaced);
-            seen.push(place.displaced);
+            seen.push(place.displaced.clone());
             new
         });
         let priced = places.into_iter().take(CONTENDERS).map(|Candidate { spot, displaced, .. }| {
-            let (price, aside) = self.price(&spot, displaced);
+            let (price, aside) = self.price(&spot, &displaced, effort.watch());
             (price, Contested { spot, displaced, aside })
         });
         let mut affordable: Vec<(f64, Contested)> = priced.filter(|(price, _)| *price <= most).collect();
@@ -84,7 +84,7 @@ impl Contest<'_> {
     /// Places with a rough price.
     fn places(&self, rng: &mut ChaCha8Rng, effort: &mut Effort) -> Vec<Candidate> {
         let (table, scene) = (self.table, self.table.scene);
-        let before = table.before(self.object, self.others);
+        let before = table.before(self.object, &self.others);
         let mut places = Vec::new();
         for _ in 0..PLACES {
             if !effort.step() {
@@ -99,23 +99,23 @@ impl Contest<'_> {
             if displaced.is_empty() {
                 continue;
             }
-            let closing = (table.blocked_by(self.object, &spot) & before).weight(self.costs);
+            let closing = (table.blocked_by(self.object, &spot) & &before).weight(self.costs);
             let area: f64 = displaced.iter().map(|o| scene.problem.objects[o].footprint.area()).sum();
-            let price = (self.rough(displaced) + closing + 0.5 * area) * rng.random_range(1.0..2.5);
+            let price = (self.rough(&displaced) + closing + 0.5 * area) * rng.random_range(1.0..2.5);
             places.push(Candidate { price, spot, displaced });
         }
         places
     }
 
-    fn rough(&self, displaced: ObjectSet) -> f64 {
-        let home = displaced - self.table.remaining;
-        let willing = 0.7 * (displaced & self.others).weight(self.costs);
+    fn rough(&self, displaced: &ObjectSet) -> f64 {
+        let home = displaced - &self.table.remaining;
+        let willing = 0.7 * (displaced & &self.others).weight(self.costs);
         displaced.weight(self.costs) + home.weight(self.costs) - willing
     }
 
     /// What must follow once the displaced are parked and the object is at the place, in all, and who is
     /// aside then.
-    fn price(&self, spot: &Spot, displaced: ObjectSet) -> (f64, ObjectSet) {
+    fn price(&self, spot: &Spot, displaced: &ObjectSet, watch: &mut Watch) -> (f64, ObjectSet) {
         let table = self.table;
         let blocked = table.blocked_by(self.object, spot);
         let blockers = |i: usize| {
@@ -124,8 +124,8 @@ impl Contest<'_> {
             if waits && blocked.contains(i) { rest.with(self.object) } else { rest.without(self.object) }
         };
         let graph = DependencyGraph::from_blockers((0..table.ends.len()).map(blockers).collect());
-        let set = feedback::minimum_within(&graph, &self.weights, node_limit(table.ends.len())).vertices;
-        let home = displaced - table.remaining;
+        let set = feedback::minimum_within(&graph, &self.weights, node_limit(table.ends.len()), watch).vertices;
+        let home = displaced - &table.remaining;
         let moves = displaced.weight(self.costs) + home.weight(self.costs) + self.costs[self.object];
         (table.remaining.weight(self.costs) + moves + set.weight(self.costs), set | displaced)
     }

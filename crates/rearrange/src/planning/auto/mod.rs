@@ -59,9 +59,10 @@ impl Search<'_> {
     /// Searches until the plan is good enough or the effort is spent.
     pub fn run(&self, audience: &mut dyn Audience, effort: &mut Effort) {
         let seed = |k: u64| self.seed.wrapping_mul(MEMBERS).wrapping_add(k);
-        let worker = |k| Worker::new(self.task, k, seed(k));
+        let worker = |k| Worker::new(self.task, k, seed(k), effort.watch());
         let mut members: Vec<Worker> = (0..MEMBERS).map(worker).collect();
-        let mut proof = BufferSpaceBound::new(self.task.scene, self.task.costs);
+        let PortfolioTask { scene, costs, .. } = *self.task;
+        let mut proof = BufferSpaceBound::new(scene, costs, self.task.bound.clone(), effort.watch());
         let mut best: Option<(f64, Vec<Move>)> = None;
         let mut steps = FIRST_ROUND;
         while !effort.is_over() {

@@ -11,7 +11,7 @@ use crate::geometry::polygon::Point;
 use crate::geometry::pose::Pose2;
 use crate::planning::auto::regions::{Region, convex_parts, placed};
 use crate::planning::auto::table::Table;
-use crate::planning::effort::Effort;
+use crate::planning::effort::{Effort, Watch};
 use crate::planning::object_set::ObjectSet;
 use crate::planning::scene::{Scene, Spot};
 use rand::RngExt;
@@ -91,7 +91,7 @@ pub fn find(
     rng: &mut ChaCha8Rng,
     effort: &mut Effort,
 ) -> Found {
-    let before = table.before(wish.object, wish.aside);
+    let before = table.before(wish.object, &wish.aside);
     let mut search = Search { table, shapes, wish, before, found: Found::default() };
     search.run(care, rng, effort);
     search.found
@@ -136,7 +136,7 @@ impl Search<'_> {
             return false;
         }
         let blocked = table.blocked_by(object, &spot);
-        let closing = (blocked & self.before).len();
+        let closing = (&blocked & &self.before).len();
         if closing > 0 {
             if self.found.compromise.as_ref().is_none_or(|(fewest, _)| closing < *fewest) {
                 self.found.compromise = Some((closing, spot));
@@ -153,7 +153,7 @@ impl Search<'_> {
     /// Offers corners of the free region at one angle; true if the search is over.
     fn search_region(&mut self, pivots: usize, rng: &mut ChaCha8Rng, effort: &mut Effort) -> bool {
         let theta = self.angle(rng);
-        let Some(region) = self.region(theta) else { return false };
+        let Some(region) = self.region(theta, effort.watch()) else { return false };
         let mut order: Vec<usize> = (0..region.obstacle_count()).collect();
         order.shuffle(rng);
         let mut corners = region.table_corners();
@@ -168,13 +168,13 @@ impl Search<'_> {
             if self.found.ideal.is_some() || !effort.step() {
                 return true;
             }
-            corners = region.corners_at(pivot);
+            corners = region.corners_at(pivot, effort.watch());
         }
         false
     }
 
     /// The region free of everything on the table and of the ends that must stay open.
-    fn region(&self, theta: f64) -> Option<Region> {
+    fn region(&self, theta: f64, watch: &mut Watch) -> Option<Region> {
         let (table, object) = (self.table, self.wish.object);
         let parts = |o: usize, pose: &Pose2| all_placed(&self.shapes.obstacles[o], pose);
         let here = table.scene.movable.iter().filter(|&&o| o != object);
@@ -185,7 +185,7 @@ impl Search<'_> {
         let standing = self.shapes.standing.iter().cloned();
         let mover = all_placed(&self.shapes.movers[object], &Pose2::new(0.0, 0.0, theta));
         let (low, high) = bounds(table.scene, object, theta);
-        Region::new(&mover, low, high, standing.chain(here).chain(ends).chain(reserved))
+        Region::new(&mover, low, high, standing.chain(here).chain(ends).chain(reserved), watch)
     }
 
     /// Parallel to the table's edge, to another object, or any.

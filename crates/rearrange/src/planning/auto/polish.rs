@@ -8,6 +8,7 @@
 use crate::geometry::pose::Pose2;
 use crate::planning::auto::parking;
 use crate::planning::buffers::Arrangement;
+use crate::planning::effort::Watch;
 use crate::planning::scene::{Scene, Spot};
 use crate::planning::trlb::Move;
 use rand::RngExt;
@@ -18,12 +19,13 @@ use std::sync::Arc;
 /// A plan's moves as far as they have to be decided: who goes where.
 type Step = (usize, Arc<Spot>);
 
-/// A neighbour of the plan; None if the change tried is impossible.
+/// A neighbour of the plan; None if the change tried is impossible, or where `watch` ends the work.
 pub fn neighbour(
     scene: &Scene,
     start: &Arrangement,
     plan: &[Move],
     rng: &mut ChaCha8Rng,
+    watch: &mut Watch,
 ) -> Option<Vec<Move>> {
     let mut steps: Vec<Step> = plan.iter().map(|m| (m.object, m.to.clone())).collect();
     match rng.random_range(0..10u8) {
@@ -32,7 +34,7 @@ pub fn neighbour(
         6 => exchange_ends(scene, &mut steps, rng)?,
         _ => wait_elsewhere(scene, &mut steps, rng)?,
     }
-    carried_out(scene, start, &steps)
+    carried_out(scene, start, &steps, watch)
 }
 
 /// Some moves in a row are made earlier or later.
@@ -98,11 +100,19 @@ fn wait_elsewhere(scene: &Scene, steps: &mut [Step], rng: &mut ChaCha8Rng) -> Op
     (scene.on_table(object, &spot.pose) && scene.admissible(&spot)).then(|| steps[at].1 = spot)
 }
 
-/// The moves, if each finds its place free.
-pub fn carried_out(scene: &Scene, start: &Arrangement, steps: &[Step]) -> Option<Vec<Move>> {
+/// The moves, if each finds its place free; None where `watch` ends the work.
+pub fn carried_out(
+    scene: &Scene,
+    start: &Arrangement,
+    steps: &[Step],
+    watch: &mut Watch,
+) -> Option<Vec<Move>> {
     let mut now = start.clone();
     let mut moves = Vec::with_capacity(steps.len());
     for (object, to) in steps {
+        if !watch.go_on(scene.row_ticks()) {
+            return None;
+        }
         let others = scene.movable.iter().filter(|o| *o != object);
         if now[*object].pose == to.pose || !others.into_iter().all(|&o| scene.clear(to, &now[o])) {
             return None;

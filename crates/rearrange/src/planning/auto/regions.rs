@@ -10,6 +10,7 @@
 use crate::geometry::footprint::Footprint;
 use crate::geometry::polygon::{Point, convex_hull, cross, sub};
 use crate::geometry::pose::Pose2;
+use crate::planning::effort::Watch;
 use std::f64::consts::TAU;
 
 /// Corners of the polygon about a curve: 2 % of the radius is given away at most.
@@ -147,20 +148,26 @@ pub struct Region {
 }
 
 impl Region {
-    /// Positions between `low` and `high` (where the footprint is on the table) of a mover with these convex
-    /// parts at its angle, among convex obstacles. None if it does not fit on the table.
+    /// Positions between `low` and `high` (where the footprint is on the table) of a mover with these
+    /// convex parts at its angle, among convex obstacles. None if it does not fit on the table, or where
+    /// `watch` ends the work.
     pub fn new(
         mover: &[Vec<Point>],
         low: Point,
         high: Point,
         obstacles: impl Iterator<Item = Vec<Point>>,
+        watch: &mut Watch,
     ) -> Option<Region> {
         let mirror = |part: &Vec<Point>| part.iter().map(|p| [-p[0], -p[1]]).collect();
         let mirrored: Vec<Vec<Point>> = mover.iter().map(mirror).collect();
-        let pairs = obstacles.flat_map(|obstacle| {
-            mirrored.iter().map(|part| NoFit::new(&obstacle, part)).collect::<Vec<NoFit>>()
-        });
-        let forbidden = pairs.collect();
+        let corners: usize = mirrored.iter().map(Vec::len).sum();
+        let mut forbidden = Vec::new();
+        for obstacle in obstacles {
+            if !watch.go_on((corners + mirrored.len() * obstacle.len()) as u64) {
+                return None;
+            }
+            forbidden.extend(mirrored.iter().map(|part| NoFit::new(&obstacle, part)));
+        }
         (low[0] <= high[0] && low[1] <= high[1]).then_some(Region { forbidden, low, high })
     }
 
@@ -175,8 +182,9 @@ impl Region {
         corners.into_iter().filter(|p| self.is_free(*p)).collect()
     }
 
-    /// Corners of the free region on the outline of one obstacle's forbidden polygon.
-    pub fn corners_at(&self, obstacle: usize) -> Vec<Point> {
+    /// Corners of the free region on the outline of one obstacle's forbidden polygon; those found until
+    /// `watch` ends the work.
+    pub fn corners_at(&self, obstacle: usize, watch: &mut Watch) -> Vec<Point> {
         let mine = &self.forbidden[obstacle];
         let mut found = mine.corners.clone();
         for (a, b) in edges(&mine.corners) {
@@ -186,11 +194,15 @@ impl Region {
             if at == obstacle || !mine.meets(other) {
                 continue;
             }
+            if !watch.go_on((mine.corners.len() * other.corners.len()) as u64) {
+                return Vec::new();
+            }
             for (a, b) in edges(&mine.corners) {
                 other.crossings(a, b, &mut found);
             }
         }
-        found.retain(|p| self.is_free(*p));
+        let ticks = self.forbidden.len() as u64;
+        found.retain(|p| watch.go_on(ticks) && self.is_free(*p));
         found
     }
 
@@ -237,14 +249,28 @@ mod tests {
         assert_eq!(minkowski_sum(&square(1.0), &diamond).len(), 8);
     }
 
+    fn region(
+        mover: &[Vec<Point>],
+        low: Point,
+        high: Point,
+        obstacles: impl Iterator<Item = Vec<Point>>,
+    ) -> Option<Region> {
+        Region::new(mover, low, high, obstacles, &mut Watch::new(&|| false))
+    }
+
+    fn all_corners(region: &Region) -> Vec<Point> {
+        let mut watch = Watch::new(&|| false);
+        (0..region.obstacle_count()).flat_map(|k| region.corners_at(k, &mut watch)).collect()
+    }
+
     #[test]
     fn a_gap_of_exactly_the_right_width_is_found() {
         // Two walls leave a gap of 0.1 m; a square of 0.1 m fits at x = 0.5 only.
         let walls = [(0.0, 0.45), (0.55, 1.0)];
         let boxed = |(x0, x1): (f64, f64)| vec![[x0, 0.0], [x1, 0.0], [x1, 0.2], [x0, 0.2]];
         let mover = convex_parts(&Footprint::rectangle(0.1, 0.1).unwrap(), 0.0);
-        let region = Region::new(&mover, [0.05, 0.05], [0.95, 0.15], walls.into_iter().map(boxed)).unwrap();
-        let found: Vec<Point> = (0..region.obstacle_count()).flat_map(|k| region.corners_at(k)).collect();
+        let region = region(&mover, [0.05, 0.05], [0.95, 0.15], walls.into_iter().map(boxed));
+        let found = all_corners(&region.unwrap());
         assert!(!found.is_empty());
         assert!(found.iter().all(|p| (p[0] - 0.5).abs() < 1e-9), "{found:?}");
     }
@@ -256,8 +282,8 @@ mod tests {
             [[0.0, 0.0], [0.3, 0.0], [0.3, 0.2], [0.2, 0.2], [0.2, 0.1], [0.1, 0.1], [0.1, 0.2], [0.0, 0.2]];
         let obstacle = convex_parts(&Footprint::polygon(&u).unwrap(), 0.0);
         let mover = convex_parts(&Footprint::rectangle(0.1, 0.1).unwrap(), 0.0);
-        let region = Region::new(&mover, [0.05, 0.05], [0.25, 0.15], obstacle.into_iter()).unwrap();
-        let found: Vec<Point> = (0..region.obstacle_count()).flat_map(|k| region.corners_at(k)).collect();
+        let region = region(&mover, [0.05, 0.05], [0.25, 0.15], obstacle.into_iter());
+        let found = all_corners(&region.unwrap());
         assert!(!found.is_empty());
         assert!(found.iter().all(|p| (p[0] - 0.15).abs() + (p[1] - 0.15).abs() < 1e-9), "{found:?}");
     }

@@ -13,7 +13,7 @@ use crate::planning::auto::parking::{self, Care, Shapes, Wish};
 use crate::planning::auto::stops::Stop;
 use crate::planning::auto::table::Table;
 use crate::planning::buffers::Arrangement;
-use crate::planning::effort::Effort;
+use crate::planning::effort::{Effort, Watch};
 use crate::planning::feedback;
 use crate::planning::object_set::ObjectSet;
 use crate::planning::scene::{Scene, Spot};
@@ -65,7 +65,7 @@ pub struct Style {
 
 /// The moves, if the roll-out got there.
 pub fn roll_out(task: &Task, style: &Style, rng: &mut ChaCha8Rng, effort: &mut Effort) -> Option<Vec<Move>> {
-    let table = Table::new(task.scene, task.from, task.to, task.flexible);
+    let table = Table::new(task.scene, task.from, task.to, task.flexible.clone(), effort.watch())?;
     let nudged = task.costs.iter().zip(&style.bias).map(|(cost, bias)| cost * (1.0 + NUDGE * bias)).collect();
     let slack = 1e-6 * task.costs.iter().sum::<f64>();
     let (costs, stops) = (task.costs.to_vec(), MOST_STOPS);
@@ -103,7 +103,7 @@ impl RollOut<'_> {
             self.plan_a_stop(rng, effort);
         }
         loop {
-            if !self.go_home(rng) {
+            if !self.go_home(rng, effort.watch()) {
                 return None;
             }
             if self.table.remaining.is_empty() {
@@ -131,16 +131,20 @@ impl RollOut<'_> {
         done || stop
     }
 
-    /// Makes all moves that are open; false if one turns out to be impossible.
-    fn go_home(&mut self, rng: &mut ChaCha8Rng) -> bool {
+    /// Makes all moves that are open; false if one turns out to be impossible, or where `watch` ends the
+    /// work.
+    fn go_home(&mut self, rng: &mut ChaCha8Rng, watch: &mut Watch) -> bool {
         let mut held = ObjectSet::EMPTY;
         loop {
-            let mut free: Vec<usize> = (self.table.free_to_go() - held).iter().collect();
+            let mut free: Vec<usize> = (self.table.free_to_go() - &held).iter().collect();
             if free.is_empty() {
                 break;
             }
             free.shuffle(rng);
             for object in free {
+                if !watch.go_on(2 * self.task.scene.row_ticks()) {
+                    return false;
+                }
                 if self.style.hold > 0.0 && rng.random_bool(self.style.hold) {
                     held.insert(object);
                 } else if !self.follow(object) {
@@ -150,9 +154,9 @@ impl RollOut<'_> {
         }
         // Held objects wait for a parked one only; where no object has to be parked, nothing would ever free
         // them.
-        if !held.is_empty() && self.feedback(ObjectSet::EMPTY).is_empty() {
+        if !held.is_empty() && self.feedback(&ObjectSet::EMPTY, watch).is_empty() {
             while let Some(object) = self.table.free_to_go().smallest() {
-                if !self.follow(object) {
+                if !watch.go_on(2 * self.task.scene.row_ticks()) || !self.follow(object) {
                     return false;
                 }
             }
@@ -168,13 +172,14 @@ impl RollOut<'_> {
     }
 
     /// A cheapest set whose parking lets all others go home, avoiding `dear` where that costs nothing much.
-    fn feedback(&self, dear: ObjectSet) -> ObjectSet {
+    fn feedback(&self, dear: &ObjectSet, watch: &mut Watch) -> ObjectSet {
         let mut weights = self.weights();
         dear.iter().for_each(|o| weights[o] *= 4.0);
-        feedback::minimum_within(&self.table.graph(), &weights, node_limit(self.table.ends.len())).vertices
+        let nodes = node_limit(self.table.ends.len());
+        feedback::minimum_within(&self.table.graph(), &weights, nodes, watch).vertices
     }
 
-    fn too_dear(&self, aside: ObjectSet) -> bool {
+    fn too_dear(&self, aside: &ObjectSet) -> bool {
         let rest = self.table.remaining.weight(&self.costs) + aside.weight(&self.costs);
         self.spent + rest > self.task.ceiling + self.slack
     }
@@ -184,8 +189,8 @@ impl RollOut<'_> {
         let mut tried = ObjectSet::EMPTY;
         let mut compromises: Vec<Compromise> = Vec::new();
         for _ in 0..SETS {
-            let aside = self.feedback(tried);
-            if self.too_dear(aside) {
+            let aside = self.feedback(&tried, effort.watch());
+            if self.too_dear(&aside) {
                 // The first set is the cheapest there is.
                 if tried.is_empty() {
                     return false;
@@ -196,7 +201,7 @@ impl RollOut<'_> {
                 self.table.give_up_stop(self.table.owner(vertex));
                 return true;
             }
-            for object in self.order(aside - tried, rng) {
+            for object in self.order(&aside - &tried, rng) {
                 let wish = Wish {
                     object,
                     aside: aside.without(object),
@@ -214,8 +219,8 @@ impl RollOut<'_> {
                     return false;
                 }
             }
-            let new = !(aside - tried).is_empty();
-            tried = tried | aside;
+            let new = !(&aside - &tried).is_empty();
+            tried.extend(&aside);
             if !new {
                 break;
             }
@@ -228,13 +233,8 @@ impl RollOut<'_> {
         let mut order: Vec<usize> = aside.iter().collect();
         order.shuffle(rng);
         if rng.random_bool(0.6) {
-            let lone: ObjectSet = self
-                .table
-                .remaining
-                .iter()
-                .map(|i| self.table.blockers(i))
-                .filter(|b| b.len() == 1)
-                .fold(ObjectSet::EMPTY, |all, b| all | b);
+            let blockers = self.table.remaining.iter().map(|i| self.table.blockers(i));
+            let lone: ObjectSet = blockers.filter(|b| b.len() == 1).flatten().collect();
             order.sort_by_key(|&o| !lone.contains(o));
         }
         order
@@ -267,8 +267,11 @@ impl RollOut<'_> {
             return false;
         }
         self.stops -= 1;
-        let aside: Vec<usize> =
-            self.feedback(ObjectSet::EMPTY).iter().filter(|&v| !self.table.is_planned(v)).collect();
+        let aside: Vec<usize> = self
+            .feedback(&ObjectSet::EMPTY, effort.watch())
+            .into_iter()
+            .filter(|&v| !self.table.is_planned(v))
+            .collect();
         let area = |o: &usize| self.task.scene.problem.objects[*o].footprint.area();
         let Ok(&object) = aside.choose_weighted(rng, area) else { return false };
         let (table, costs, hints) = (&self.table, &self.costs[..], &self.style.hints[object][..]);
@@ -285,16 +288,16 @@ impl RollOut<'_> {
 
     /// Parks an object where others have to make way first.
     fn clear_a_place(&mut self, rng: &mut ChaCha8Rng, effort: &mut Effort) -> bool {
-        let aside = self.feedback(ObjectSet::EMPTY);
+        let aside = self.feedback(&ObjectSet::EMPTY, effort.watch());
         let mut order: Vec<usize> = aside.iter().collect();
         order.shuffle(rng);
-        order.into_iter().take(2).any(|object| self.clear_a_place_for(object, aside, rng, effort))
+        order.into_iter().take(2).any(|object| self.clear_a_place_for(object, &aside, rng, effort))
     }
 
     fn clear_a_place_for(
         &mut self,
         object: usize,
-        aside: ObjectSet,
+        aside: &ObjectSet,
         rng: &mut ChaCha8Rng,
         effort: &mut Effort,
     ) -> bool {

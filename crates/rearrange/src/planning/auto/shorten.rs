@@ -5,16 +5,20 @@
 //! leads at once.
 
 use crate::planning::buffers::Arrangement;
+use crate::planning::effort::Watch;
 use crate::planning::scene::Scene;
 use crate::planning::trlb::{Move, tidy};
 
-/// The plan without moves that can be left out.
-pub fn shortened(scene: &Scene, start: &Arrangement, plan: Vec<Move>) -> Vec<Move> {
+/// The plan without moves that can be left out; without those found until then where `watch` ends the work.
+pub fn shortened(scene: &Scene, start: &Arrangement, plan: Vec<Move>, watch: &mut Watch) -> Vec<Move> {
     let mut moves = tidy(plan);
     loop {
         let before = moves.len();
         let mut at = 0;
         while at < moves.len() {
+            if !watch.go_on(moves.len() as u64 + scene.row_ticks()) {
+                return tidy(moves);
+            }
             if !(drop_by_waiting(scene, &mut moves, at) || drop_by_going_on(scene, start, &mut moves, at)) {
                 at += 1;
             }
@@ -92,10 +96,10 @@ mod tests {
         let scene = Scene::new(&problem);
         let start: Arrangement = vec![scene.start(0).clone(), scene.start(1).clone()];
         let steps = [(0, 0.2, 0.9), (1, 0.5, 0.1), (0, 0.5, 0.8), (1, 0.2, 0.5), (0, 0.8, 0.5)];
-        let plan = shortened(&scene, &start, moves(&scene, &steps));
+        let plan = shortened(&scene, &start, moves(&scene, &steps), &mut Watch::new(&|| false));
         assert_eq!(plan.len(), 3, "{plan:?}");
         let steps: Vec<_> = plan.iter().map(|m| (m.object, m.to.clone())).collect();
-        let carried = carried_out(&scene, &start, &steps).unwrap();
+        let carried = carried_out(&scene, &start, &steps, &mut Watch::new(&|| false)).unwrap();
         assert!(carried.iter().zip(&plan).all(|(a, b)| a.from.pose == b.from.pose));
     }
 
@@ -116,10 +120,10 @@ mod tests {
                 }
             }
             let before = plan.len();
-            let short = shortened(&scene, &start, plan);
+            let short = shortened(&scene, &start, plan, &mut Watch::new(&|| false));
             assert!(short.len() < before.max(1), "{} of {before}", short.len());
             let steps: Vec<_> = short.iter().map(|m| (m.object, m.to.clone())).collect();
-            carried_out(&scene, &start, &steps).unwrap();
+            carried_out(&scene, &start, &steps, &mut Watch::new(&|| false)).unwrap();
             let mut then = start.clone();
             short.iter().for_each(|m| then[m.object] = m.to.clone());
             assert!(then.iter().zip(&now).all(|(a, b)| a.pose == b.pose));

@@ -12,7 +12,7 @@ use crate::geometry::pose::Pose2;
 use crate::planning::auto::compaction::{Compaction, Progress};
 use crate::planning::buffers::Arrangement;
 use crate::planning::completion;
-use crate::planning::effort::Effort;
+use crate::planning::effort::{Effort, Watch};
 use crate::planning::scene::Scene;
 use crate::planning::trlb::{Move, reversed};
 use rand::RngExt;
@@ -51,7 +51,7 @@ pub fn over_sites(
     let (first, first_moves) = settled(scene, from, &sites, rng, effort)?;
     let (last, last_moves) = settled(scene, to, &sites, rng, effort)?;
     let mut moves = first_moves;
-    moves.extend(permuted(scene, &sites, first, &last));
+    moves.extend(permuted(scene, &sites, first, &last, effort.watch())?);
     moves.extend(reversed(last_moves));
     Some(moves)
 }
@@ -73,7 +73,7 @@ fn packing(
     let mut points: Vec<Point> =
         (0..count).map(|_| [rng.random_range(low..high[0]), rng.random_range(low..high[1])]).collect();
     for _ in 0..PUSHES {
-        if !effort.step() {
+        if !effort.step() || !effort.watch().go_on((points.len() * points.len() / 2) as u64) {
             return None;
         }
         if push(&mut points, apart * (1.0 + MARGIN), low, high) >= apart {
@@ -114,7 +114,8 @@ fn settled(
 ) -> Option<(Vec<usize>, Vec<Move>)> {
     let poses: Vec<Pose2> = from.iter().map(|spot| spot.pose).collect();
     let places: Vec<Pose2> = sites.iter().map(|&[x, y]| Pose2::new(x, y, 0.0)).collect();
-    let taken: Option<Vec<usize>> = completion::match_to_goals(&poses, &places).into_iter().collect();
+    let taken: Option<Vec<usize>> =
+        completion::match_to_goals(&poses, &places, effort.watch()).into_iter().collect();
     let taken = taken?;
     let ends: Arrangement = taken.iter().enumerate().map(|(o, &site)| scene.spot(o, places[site])).collect();
     let mut compaction = Compaction::new(scene, from, &ends, rng);
@@ -124,17 +125,28 @@ fn settled(
     }
 }
 
-/// Moves from site to site, each into the one that is vacant.
-fn permuted(scene: &Scene, sites: &[Point], mut at: Vec<usize>, wanted: &[usize]) -> Vec<Move> {
+/// Moves from site to site, each into the one that is vacant; None where `watch` ends the work.
+fn permuted(
+    scene: &Scene,
+    sites: &[Point],
+    mut at: Vec<usize>,
+    wanted: &[usize],
+    watch: &mut Watch,
+) -> Option<Vec<Move>> {
     let spot = |o: usize, site: usize| scene.spot(o, Pose2::new(sites[site][0], sites[site][1], 0.0));
     let mut moves = Vec::new();
     while let Some(astray) = (0..at.len()).find(|&o| at[o] != wanted[o]) {
-        let Some(vacant) = (0..sites.len()).find(|site| !at.contains(site)) else { break };
+        if !watch.go_on(sites.len() as u64) {
+            return None;
+        }
+        let mut is_taken = vec![false; sites.len()];
+        at.iter().for_each(|&site| is_taken[site] = true);
+        let Some(vacant) = is_taken.iter().position(|taken| !taken) else { break };
         let object = (0..at.len()).find(|&o| wanted[o] == vacant).unwrap_or(astray);
         moves.push(Move { object, from: spot(object, at[object]), to: spot(object, vacant) });
         at[object] = vacant;
     }
-    moves
+    Some(moves)
 }
 
 #[cfg(test)]
@@ -175,7 +187,7 @@ mod tests {
                 continue;
             };
             let steps: Vec<_> = moves.iter().map(|m| (m.object, m.to.clone())).collect();
-            assert!(carried_out(&scene, &start, &steps).is_some(), "seed {seed}");
+            assert!(carried_out(&scene, &start, &steps, &mut Watch::new(&|| false)).is_some(), "seed {seed}");
             let mut now = start.clone();
             moves.iter().for_each(|m| now[m.object] = m.to.clone());
             assert!(now.iter().zip(&goal).all(|(a, b)| a.pose == b.pose), "seed {seed}");

@@ -8,7 +8,7 @@
 use crate::planning::auto::aside::{STEADFAST, node_limit};
 use crate::planning::auto::parking;
 use crate::planning::auto::table::Table;
-use crate::planning::effort::Effort;
+use crate::planning::effort::{Effort, Watch};
 use crate::planning::feedback;
 use crate::planning::graph::DependencyGraph;
 use crate::planning::object_set::ObjectSet;
@@ -57,7 +57,7 @@ impl Stop<'_> {
         let concerned = |place: &Place| place.standing.len() + place.blocked.len();
         places.sort_by_key(concerned);
         let priced = places.into_iter().take(CONTENDERS);
-        let priced = priced.filter_map(|place| Some((self.price(&place)?, place.spot)));
+        let priced = priced.filter_map(|place| Some((self.price(&place, effort.watch())?, place.spot)));
         let best = priced.min_by(|a, b| a.0.total_cmp(&b.0));
         best.filter(|(price, _)| *price <= most).map(|(_, spot)| spot)
     }
@@ -70,22 +70,22 @@ impl Stop<'_> {
     }
 
     /// What must follow from here with the stop planned; None if that would have to be given up.
-    fn price(&self, place: &Place) -> Option<f64> {
+    fn price(&self, place: &Place, watch: &mut Watch) -> Option<f64> {
         let (table, object, stop) = (self.table, self.object, self.table.ends.len());
         let mut blockers: Vec<ObjectSet> = (0..stop)
             .map(|i| {
-                let waits = table.blockers(i);
+                let waits = table.blockers(i).clone();
                 let waits = if waits.contains(object) { waits.with(stop).without(object) } else { waits };
                 if place.blocked.contains(i) { waits.with(object) } else { waits }
             })
             .collect();
         blockers[object] = blockers[object].with(stop);
-        blockers.push(place.standing);
+        blockers.push(place.standing.clone());
         let mut weights = self.weights.clone();
         weights[object] = STEADFAST * self.costs[object];
         weights.push(weights[object]);
         let graph = DependencyGraph::from_blockers(blockers);
-        let set = feedback::minimum_within(&graph, &weights, node_limit(stop + 1)).vertices;
+        let set = feedback::minimum_within(&graph, &weights, node_limit(stop + 1), watch).vertices;
         let kept = set.iter().all(|v| v != object && v != stop && !table.is_planned(v));
         kept.then(|| table.remaining.weight(self.costs) + self.costs[object] + set.weight(&weights))
     }

@@ -8,6 +8,7 @@
 //! place that is in no object's way.
 
 use crate::planning::buffers::Arrangement;
+use crate::planning::effort::Watch;
 use crate::planning::graph::DependencyGraph;
 use crate::planning::object_set::ObjectSet;
 use crate::planning::scene::{Scene, Spot};
@@ -35,25 +36,30 @@ pub struct Table<'a> {
 }
 
 impl<'a> Table<'a> {
-    /// Nothing moved yet. Objects of `flexible` may also end elsewhere than `ends` says.
+    /// Nothing moved yet. Objects of `flexible` may also end elsewhere than `ends` says. None where `watch`
+    /// ends the work.
     pub fn new(
         scene: &'a Scene<'a>,
         from: &Arrangement,
         ends: &Arrangement,
         flexible: ObjectSet,
-    ) -> Table<'a> {
+        watch: &mut Watch,
+    ) -> Option<Table<'a>> {
         let remaining: ObjectSet =
             scene.movable.iter().copied().filter(|&o| from[o].pose != ends[o].pose).collect();
-        let blockers = (0..from.len())
-            .map(|i| {
-                let others = remaining.without(i).iter();
-                let stands = |&j: &usize| !scene.clear(&ends[i], &from[j]);
-                if remaining.contains(i) { others.filter(stands).collect() } else { ObjectSet::EMPTY }
-            })
-            .collect();
+        let blockers_of = |i: usize| {
+            if !remaining.contains(i) {
+                return Some(ObjectSet::EMPTY);
+            }
+            let others = remaining.iter().filter(|&j| j != i);
+            let row = || others.filter(|&j| !scene.clear(&ends[i], &from[j])).collect();
+            watch.go_on(scene.row_ticks()).then(row)
+        };
+        let blockers: Option<Vec<ObjectSet>> = (0..from.len()).map(blockers_of).collect();
+        let blockers = blockers?;
         let all: Vec<usize> = (0..from.len()).collect();
         let (now, ends) = (from.clone(), ends.clone());
-        Table {
+        Some(Table {
             scene,
             now,
             ends,
@@ -63,12 +69,12 @@ impl<'a> Table<'a> {
             blockers,
             owner: all.clone(),
             next: all,
-        }
+        })
     }
 
     /// The vertices that have to come before this one.
-    pub fn blockers(&self, vertex: usize) -> ObjectSet {
-        self.blockers[vertex]
+    pub fn blockers(&self, vertex: usize) -> &ObjectSet {
+        &self.blockers[vertex]
     }
 
     /// Whose move a vertex is.
@@ -92,14 +98,16 @@ impl<'a> Table<'a> {
     }
 
     /// Everything that has to come before `vertex`, if the vertices of `aside` are thought away.
-    pub fn before(&self, vertex: usize, aside: ObjectSet) -> ObjectSet {
-        let mut seen = self.blockers[vertex] - aside;
-        let mut fringe = seen;
-        while let Some(v) = fringe.smallest() {
-            fringe.remove(v);
-            let new = (self.blockers[v] - aside) - seen;
-            seen = seen | new;
-            fringe = fringe | new;
+    pub fn before(&self, vertex: usize, aside: &ObjectSet) -> ObjectSet {
+        let mut seen = &self.blockers[vertex] - aside;
+        let mut fringe: Vec<usize> = seen.iter().collect();
+        while let Some(v) = fringe.pop() {
+            for new in self.blockers[v].iter().filter(|&u| !aside.contains(u)) {
+                if !seen.contains(new) {
+                    seen.insert(new);
+                    fringe.push(new);
+                }
+            }
         }
         seen
     }
@@ -128,14 +136,14 @@ impl<'a> Table<'a> {
             self.ends[object] = spot.clone();
         }
         self.forget_stop(object);
-        self.block(object, blocked);
+        self.block(object, &blocked);
         let from = std::mem::replace(&mut self.now[object], spot.clone());
         if spot.pose == self.ends[object].pose {
             self.remaining.remove(object);
             self.blockers[object] = ObjectSet::EMPTY;
         } else if !self.remaining.contains(object) {
             self.remaining.insert(object);
-            self.blockers[object] = self.waiting_for(self.standing_at(object, &self.ends[object]));
+            self.blockers[object] = self.waiting_for(&self.standing_at(object, &self.ends[object]));
         }
         self.moves.push(Move { object, from, to: spot });
     }
@@ -144,19 +152,18 @@ impl<'a> Table<'a> {
     pub fn plan_stop(&mut self, object: usize, spot: Arc<Spot>) -> bool {
         let vertex = self.ends.len();
         let standing = self.standing_at(object, &spot);
-        let fits =
-            vertex < ObjectSet::CAPACITY && self.remaining.contains(object) && !self.is_planned(object);
+        let fits = self.remaining.contains(object) && !self.is_planned(object);
         if !fits || !standing.is_subset(&self.remaining) {
             return false;
         }
         let blocked = self.blocked_by(object, &spot);
-        for i in self.remaining.without(object) {
+        for i in self.remaining.iter().filter(|&i| i != object) {
             if self.blockers[i].contains(object) {
                 self.blockers[i].insert(vertex);
             }
         }
-        self.block(object, blocked);
-        self.blockers.push(self.waiting_for(standing));
+        self.block(object, &blocked);
+        self.blockers.push(self.waiting_for(&standing));
         self.blockers[object].insert(vertex);
         self.ends.push(spot);
         self.owner.push(object);
@@ -169,7 +176,7 @@ impl<'a> Table<'a> {
     pub fn give_up_stop(&mut self, object: usize) {
         self.forget_stop(object);
         let blocked = self.blocked_by(object, &self.now[object]);
-        self.block(object, blocked);
+        self.block(object, &blocked);
     }
 
     fn forget_stop(&mut self, object: usize) {
@@ -182,8 +189,8 @@ impl<'a> Table<'a> {
     }
 
     /// Exactly the vertices of `blocked` wait for the object's end.
-    fn block(&mut self, object: usize, blocked: ObjectSet) {
-        for i in self.remaining.without(object) {
+    fn block(&mut self, object: usize, blocked: &ObjectSet) {
+        for i in self.remaining.iter().filter(|&i| i != object) {
             if blocked.contains(i) {
                 self.blockers[i].insert(object);
             } else {
@@ -193,7 +200,7 @@ impl<'a> Table<'a> {
     }
 
     /// The vertices that take these objects away.
-    fn waiting_for(&self, standing: ObjectSet) -> ObjectSet {
+    fn waiting_for(&self, standing: &ObjectSet) -> ObjectSet {
         standing.iter().map(|o| self.next[o]).collect()
     }
 

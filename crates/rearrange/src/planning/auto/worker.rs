@@ -18,9 +18,10 @@ use crate::planning::auto::polish;
 use crate::planning::auto::roll_out::{Style, Task, roll_out};
 use crate::planning::auto::shorten::shortened;
 use crate::planning::auto::sites;
+use crate::planning::bound::Parts;
 use crate::planning::buffers::Arrangement;
 use crate::planning::completion;
-use crate::planning::effort::Effort;
+use crate::planning::effort::{Effort, Watch};
 use crate::planning::object_set::ObjectSet;
 use crate::planning::scene::{Scene, Spot};
 use crate::planning::trlb::{Move, reversed, tidy};
@@ -57,6 +58,8 @@ pub struct PortfolioTask<'a> {
     pub worth: f64,
     /// A worker's fallback solver, if it has one: its number, a seed.
     pub fallback: &'a (dyn Fn(u64, u64) -> Option<Fallback<'a>> + Sync + 'a),
+    /// What the bound is put together from, by these costs.
+    pub bound: &'a Parts,
     /// A plan made before, perhaps for objects that lie elsewhere now: who was to go where.
     pub known: &'a [(usize, Pose2)],
 }
@@ -115,14 +118,14 @@ struct Leg {
 
 impl<'a> Worker<'a> {
     /// The worker of this number, without a plan.
-    pub fn new(task: &'a PortfolioTask<'a>, number: u64, seed: u64) -> Worker<'a> {
+    pub fn new(task: &'a PortfolioTask<'a>, number: u64, seed: u64, watch: &mut Watch) -> Worker<'a> {
         let scene = task.scene;
         Worker {
             task,
             shapes: Shapes::new(scene),
             groups: Groups::new(scene),
             start: scene.starts().to_vec(),
-            goals: completion::assigned_goals(scene),
+            goals: completion::assigned_goals(scene, watch),
             plan: None,
             slack: 1e-6 * task.costs.iter().sum::<f64>(),
             rng: ChaCha8Rng::seed_from_u64(seed),
@@ -178,7 +181,7 @@ impl<'a> Worker<'a> {
             return cost;
         };
         // The first one is the last one: what is still to gain, changes of pieces find sooner.
-        let plan = shortened(self.task.scene, &self.start, plan);
+        let plan = shortened(self.task.scene, &self.start, plan, effort.watch());
         let new = self.judged(&plan);
         if new < cost {
             self.plan = Some(plan);
@@ -238,6 +241,9 @@ impl<'a> Worker<'a> {
             } else {
                 scene.spot(*object, *pose)
             };
+            if !effort.watch().go_on(scene.row_ticks()) {
+                return None;
+            }
             let free = |o: &&usize| *o == object || scene.clear(&to, &now[**o]);
             let possible = now[*object].pose != to.pose
                 && scene.on_table(*object, &to.pose)
@@ -250,7 +256,10 @@ impl<'a> Worker<'a> {
         }
         let flexible = self.groups.flexible(scene, &goal);
         let mut ends = goal;
-        for o in flexible {
+        for o in &flexible {
+            if !effort.watch().go_on(scene.row_ticks()) {
+                return None;
+            }
             // An object that may end anywhere stays where it was put, if no other is to end there.
             let mut others = scene.movable.iter().filter(|&&other| other != o);
             if others.all(|&other| scene.clear(&now[o], &ends[other])) {
@@ -266,7 +275,7 @@ impl<'a> Worker<'a> {
     fn whole_plan(&mut self, ceiling: f64, effort: &mut Effort) -> Option<Vec<Move>> {
         let PortfolioTask { scene, costs, .. } = *self.task;
         let goal = completion::complete(scene, &self.goals, &mut self.rng, effort)?;
-        let goal = self.groups.improved(scene, costs, &self.start, goal, &mut self.rng);
+        let goal = self.groups.improved(scene, costs, &self.start, goal, &mut self.rng, effort.watch());
         let flexible = self.groups.flexible(scene, &goal);
         let backwards = self.tries % 3 == 2;
         let leg = Leg { from: self.start.clone(), to: goal, backwards, flexible, ceiling };
@@ -291,7 +300,7 @@ impl<'a> Worker<'a> {
         match compaction.run(&shortcut, &mut self.rng, effort) {
             Progress::Arrived(moves) => {
                 let moves = if backwards { reversed(moves) } else { moves };
-                Some(shortened(scene, &self.start, moves))
+                Some(shortened(scene, &self.start, moves, effort.watch()))
             }
             Progress::Stuck => None,
             Progress::Interrupted => {
@@ -307,13 +316,13 @@ impl<'a> Worker<'a> {
         let radius = sites::common_radius(scene)?;
         let goal = completion::complete(scene, &self.goals, &mut self.rng, effort)?;
         let moves = sites::over_sites(scene, radius, &self.start, &goal, &mut self.rng, effort)?;
-        Some(shortened(scene, &self.start, moves))
+        Some(shortened(scene, &self.start, moves, effort.watch()))
     }
 
     fn new_compaction(&mut self, effort: &mut Effort) -> Option<(Compaction<'a>, bool)> {
         let PortfolioTask { scene, costs, .. } = *self.task;
         let goal = completion::complete(scene, &self.goals, &mut self.rng, effort)?;
-        let goal = self.groups.improved(scene, costs, &self.start, goal, &mut self.rng);
+        let goal = self.groups.improved(scene, costs, &self.start, goal, &mut self.rng, effort.watch());
         let backwards = self.rng.random_bool(0.5);
         let (from, to) = if backwards { (&goal, &self.start) } else { (&self.start, &goal) };
         Some((Compaction::new(scene, from, to, &mut self.rng), backwards))
@@ -322,7 +331,7 @@ impl<'a> Worker<'a> {
     /// Another plan that costs no more moves.
     fn varied(&mut self, plan: &[Move], effort: &mut Effort) -> Option<Vec<Move>> {
         if self.task.judge.is_some() && !plan.is_empty() && self.rng.random_bool(POLISH) {
-            return polish::neighbour(self.task.scene, &self.start, plan, &mut self.rng);
+            return polish::neighbour(self.task.scene, &self.start, plan, &mut self.rng, effort.watch());
         }
         if plan.is_empty() || self.rng.random_bool(0.05) {
             let ceiling = self.cost(plan);
@@ -344,7 +353,8 @@ impl<'a> Worker<'a> {
         let style = self.style(Some(plan), detours);
         let new = self.travel(&leg, &style, effort)?;
         let (head, tail) = (plan[..first].iter(), plan[last..].iter());
-        Some(shortened(self.task.scene, &self.start, head.cloned().chain(new).chain(tail.cloned()).collect()))
+        let moves = head.cloned().chain(new).chain(tail.cloned()).collect();
+        Some(shortened(self.task.scene, &self.start, moves, effort.watch()))
     }
 
     /// Sometimes members of a group take each other's ends.
@@ -358,7 +368,7 @@ impl<'a> Worker<'a> {
     fn travel(&mut self, leg: &Leg, style: &Style, effort: &mut Effort) -> Option<Vec<Move>> {
         let (from, to, flexible) = match leg.backwards {
             true => (&leg.to, &leg.from, ObjectSet::EMPTY),
-            false => (&leg.from, &leg.to, leg.flexible),
+            false => (&leg.from, &leg.to, leg.flexible.clone()),
         };
         let (PortfolioTask { scene, costs, .. }, shapes, ceiling) = (*self.task, &self.shapes, leg.ceiling);
         let task = Task { scene, shapes, costs, from, to, flexible, ceiling };

@@ -19,7 +19,7 @@ use crate::geometry::collision::{Placed, overhang};
 use crate::geometry::footprint::Footprint;
 use crate::geometry::pose::Pose2;
 use crate::planning::bound::Parts;
-use crate::planning::effort::Effort;
+use crate::planning::effort::{Effort, Watch};
 use crate::planning::feedback;
 use crate::planning::graph::DependencyGraph;
 use crate::planning::object_set::ObjectSet;
@@ -39,11 +39,23 @@ const MOST_BOXES: usize = 60_000;
 /// Steps that a box counts for.
 const STEPS_OF_A_BOX: u64 = 16;
 
-/// Nodes of each search for a feedback vertex set.
-const NODE_LIMIT: u64 = 5_000;
+/// Nodes of the first search for the feedback vertex set of the whole problem, where the bound that it
+/// begins with is not exact; each search has twice as many as the one before.
+const FIRST_EXACT: u64 = 10_000;
+
+/// Nodes of the longest of these searches.
+const LONGEST_EXACT: u64 = 10_000_000;
+
+/// Steps that one of these nodes counts for.
+const STEPS_OF_A_NODE: u64 = 16;
 
 /// Sets X that are tried.
 const MOST_SETS: usize = 40;
+
+/// Nodes of each search for a feedback vertex set.
+fn node_limit(vertices: usize) -> u64 {
+    if vertices <= 64 { 5_000 } else { 500 }
+}
 
 /// The proof as far as it has come.
 pub struct BufferSpaceBound<'a> {
@@ -62,57 +74,97 @@ pub struct BufferSpaceBound<'a> {
     cheap: ObjectSet,
     sets_left: usize,
     slack: f64,
+    /// The bound that the cycles give will not get better.
+    settled: bool,
+    /// Nodes of the next search for the exact feedback vertex set, and the steps saved for it.
+    next_exact: u64,
+    saved: u64,
 }
 
 impl<'a> BufferSpaceBound<'a> {
-    /// The bound without anything proved about room. `costs` are positive.
-    pub fn new(scene: &'a Scene<'a>, costs: &'a [f64]) -> BufferSpaceBound<'a> {
-        let parts = Parts::new(scene, costs);
-        let value = parts.required_cost + feedback::minimum(&parts.graph, costs).lower_bound;
-        // Two vertices are added to the graph of the problem.
-        let sets_left = if costs.len() + 2 <= ObjectSet::CAPACITY { MOST_SETS } else { 0 };
+    /// The bound without anything proved about room. `costs` are positive; `parts` are those of the scene.
+    pub fn new(
+        scene: &'a Scene<'a>,
+        costs: &'a [f64],
+        parts: Parts,
+        watch: &mut Watch,
+    ) -> BufferSpaceBound<'a> {
+        let value = parts.bound().value;
         let slack = 1e-9 * costs.iter().sum::<f64>();
-        let (set, cheap) = (ObjectSet::EMPTY, ObjectSet::EMPTY);
-        let prices = HashMap::new();
         let mut proof = BufferSpaceBound {
             scene,
             costs,
             parts,
             value,
-            set,
-            waiting: set,
+            set: ObjectSet::EMPTY,
+            waiting: ObjectSet::EMPTY,
             cover: None,
-            prices,
-            cheap,
-            sets_left,
+            prices: HashMap::new(),
+            cheap: ObjectSet::EMPTY,
+            sets_left: MOST_SETS,
             slack,
+            settled: false,
+            next_exact: FIRST_EXACT,
+            saved: 0,
         };
-        proof.choose();
+        proof.settled = proof.parts.is_exact;
+        if proof.settled {
+            proof.choose(watch);
+        }
         proof
     }
 
     /// Goes on until the effort is spent, or nothing more can be proved. `enough`: the cost of a plan that
     /// is known.
     pub fn work(&mut self, enough: f64, effort: &mut Effort) {
-        while self.value < (1.0 - 1e-9) * enough && !self.is_done() {
+        while self.value < (1.0 - 1e-9) * enough && !self.is_done() && !effort.is_over() {
+            if !self.settled {
+                if !self.work_on_cycles(effort) {
+                    return;
+                }
+                continue;
+            }
             let Some(first) = self.waiting.smallest() else {
-                self.conclude();
+                self.conclude(effort.watch());
                 continue;
             };
-            let known = self.prices.get(&(self.set, first)).copied();
+            let known = self.prices.get(&(self.set.clone(), first)).copied();
             let Some(price) = known.or_else(|| self.price_of(first, enough, effort)) else { return };
-            self.prices.insert((self.set, first), price);
+            self.prices.insert((self.set.clone(), first), price);
             self.waiting.remove(first);
             if price <= self.value + self.slack {
                 self.cheap.insert(first);
-                self.choose();
+                self.choose(effort.watch());
             }
         }
     }
 
     /// Is there nothing more to prove?
     pub fn is_done(&self) -> bool {
-        self.set.is_empty()
+        self.set.is_empty() && self.settled
+    }
+
+    /// Searches once more for the feedback vertex set that the bound began without, for longer than before;
+    /// false while there are too few steps for that, which are saved then.
+    fn work_on_cycles(&mut self, effort: &mut Effort) -> bool {
+        while self.saved < STEPS_OF_A_NODE * self.next_exact {
+            if !effort.step() {
+                return false;
+            }
+            self.saved += 1;
+        }
+        let found = feedback::minimum_within(&self.parts.graph, self.costs, self.next_exact, effort.watch());
+        if effort.is_over() {
+            return false;
+        }
+        self.parts.cycle_cost = self.parts.cycle_cost.max(found.lower_bound);
+        self.value = self.value.max(self.parts.bound().value);
+        (self.saved, self.next_exact) = (0, 2 * self.next_exact);
+        self.settled = found.is_minimum() || self.next_exact > LONGEST_EXACT;
+        if self.settled {
+            self.choose(effort.watch());
+        }
+        true
     }
 
     /// None when the effort is spent before it is known.
@@ -126,13 +178,13 @@ impl<'a> BufferSpaceBound<'a> {
                 self.cover = Some(cover);
                 return None;
             }
-            cover.halve_the_cheapest(self);
+            cover.halve_the_cheapest(self, effort.watch());
         }
     }
 
     /// Takes the largest object of a cheapest feedback vertex set without those taken, until such a set
     /// costs more.
-    fn choose(&mut self) {
+    fn choose(&mut self, watch: &mut Watch) {
         (self.set, self.waiting) = (ObjectSet::EMPTY, ObjectSet::EMPTY);
         if self.sets_left == 0 {
             return;
@@ -140,35 +192,40 @@ impl<'a> BufferSpaceBound<'a> {
         self.sets_left -= 1;
         let area = |o: &usize| self.scene.problem.objects[*o].footprint.area();
         let mut set = ObjectSet::EMPTY;
-        while self.without(set) <= self.value + self.slack {
-            let weights = self.weights(set, self.costs.len());
-            let cheapest = feedback::minimum_within(&self.parts.graph, &weights, NODE_LIMIT).vertices;
-            let candidates = (cheapest - set) - self.cheap;
+        while self.without(&set, watch) <= self.value + self.slack {
+            let weights = self.weights(&set, self.costs.len());
+            let cheapest =
+                feedback::minimum_within(&self.parts.graph, &weights, node_limit(weights.len()), watch)
+                    .vertices;
+            if watch.is_stopped() {
+                return;
+            }
+            let candidates = cheapest - &set - &self.cheap;
             let Some(largest) = candidates.iter().max_by(|a, b| area(a).total_cmp(&area(b))) else { return };
             set.insert(largest);
         }
-        (self.set, self.waiting) = (set, set);
+        (self.set, self.waiting) = (set.clone(), set);
     }
 
     /// All of the set are dear: so is every plan.
-    fn conclude(&mut self) {
-        let prices = self.set.iter().filter_map(|o| self.prices.get(&(self.set, o)));
-        let least = prices.copied().fold(self.without(self.set), f64::min);
+    fn conclude(&mut self, watch: &mut Watch) {
+        let prices = self.set.iter().filter_map(|o| self.prices.get(&(self.set.clone(), o)));
+        let least = prices.copied().fold(self.without(&self.set, watch), f64::min);
         // Without end: there is no plan at all. That result needs a reason, which this is not.
         if least.is_finite() {
             self.value = self.value.max(least);
-            self.choose();
+            self.choose(watch);
         } else {
             (self.set, self.waiting) = (ObjectSet::EMPTY, ObjectSet::EMPTY);
         }
     }
 
     /// What plans cost at least that put no object of the set aside.
-    fn without(&self, set: ObjectSet) -> f64 {
-        self.parts.required_cost + self.feedback(&self.parts.graph, set)
+    fn without(&self, set: &ObjectSet, watch: &mut Watch) -> f64 {
+        self.parts.required_cost + self.feedback(&self.parts.graph, set, watch)
     }
 
-    fn weights(&self, kept: ObjectSet, count: usize) -> Vec<f64> {
+    fn weights(&self, kept: &ObjectSet, count: usize) -> Vec<f64> {
         let forbidden = self.forbidden();
         (0..count).map(|v| if kept.contains(v) { forbidden } else { self.costs[v] }).collect()
     }
@@ -179,9 +236,9 @@ impl<'a> BufferSpaceBound<'a> {
     }
 
     /// Weight of the cheapest feedback vertex set without any of `kept`; infinite if there is none.
-    fn feedback(&self, graph: &DependencyGraph, kept: ObjectSet) -> f64 {
+    fn feedback(&self, graph: &DependencyGraph, kept: &ObjectSet, watch: &mut Watch) -> f64 {
         let weights = self.weights(kept, graph.len());
-        let least = feedback::minimum_within(graph, &weights, NODE_LIMIT).lower_bound;
+        let least = feedback::minimum_within(graph, &weights, node_limit(weights.len()), watch).lower_bound;
         if least >= self.forbidden() { f64::INFINITY } else { least }
     }
 }
@@ -269,7 +326,7 @@ impl Cover {
         over.then_some(cheapest.price)
     }
 
-    fn halve_the_cheapest(&mut self, proof: &BufferSpaceBound) {
+    fn halve_the_cheapest(&mut self, proof: &BufferSpaceBound, watch: &mut Watch) {
         let Some(parent) = self.boxes.pop() else { return };
         let radius = proof.scene.problem.objects[self.object].footprint.bounding_radius();
         let [x, y, turn] = parent.reach;
@@ -285,14 +342,14 @@ impl Cover {
                 _ => half.middle.theta += by,
             }
             self.seen += 1;
-            if self.look(&mut half, proof) {
+            if self.look(&mut half, proof, watch) {
                 self.boxes.push(half);
             }
         }
     }
 
     /// Finds who is met in the whole box, and its price; false if the object can be at none of its poses.
-    fn look(&mut self, half: &mut PoseBox, proof: &BufferSpaceBound) -> bool {
+    fn look(&mut self, half: &mut PoseBox, proof: &BufferSpaceBound, watch: &mut Watch) -> bool {
         let (scene, problem) = (proof.scene, proof.scene.problem);
         let footprint = &problem.objects[self.object].footprint;
         half.spread = half.reach[0].hypot(half.reach[1]) + footprint.bounding_radius() * half.reach[2];
@@ -315,12 +372,17 @@ impl Cover {
                 half.goals.insert(other);
             }
         }
-        let (starts, goals) = (half.starts, half.goals);
-        let price = self.known.entry((starts, goals)).or_insert_with(|| {
-            let stop = Stop { proof, object: self.object, starts, goals };
-            stop.price()
-        });
-        half.price = half.price.max(*price);
+        let met = (half.starts.clone(), half.goals.clone());
+        let price = match self.known.get(&met) {
+            Some(price) => *price,
+            None => {
+                let (starts, goals) = met.clone();
+                let price = Stop { proof, object: self.object, starts, goals }.price(watch);
+                self.known.insert(met, price);
+                price
+            }
+        };
+        half.price = half.price.max(price);
         half.price.is_finite()
     }
 }
@@ -337,15 +399,16 @@ impl Stop<'_> {
     /// What a plan costs at least in which the object's first move leads there, and no object of the set was
     /// put aside before: with one more move of the object or with more, with no other of the set put aside
     /// or with another one.
-    fn price(&self) -> f64 {
+    fn price(&self, watch: &mut Watch) -> f64 {
         let proof = self.proof;
         let cost = proof.costs[self.object];
         let others = proof.set.without(self.object);
         // An object put aside later was at its start until then.
-        let later = others - self.starts;
-        let rest = |more: bool| {
-            let alone = self.cycles(more, others, None);
-            let with = |other: usize| proof.costs[other] + self.cycles(more, others - later, Some(other));
+        let later = &others - &self.starts;
+        let mut rest = |more: bool| {
+            let alone = self.cycles(more, &others, None, watch);
+            let kept = &others - &later;
+            let with = |other: usize| proof.costs[other] + self.cycles(more, &kept, Some(other), watch);
             later.iter().map(with).fold(alone, f64::min)
         };
         let known = proof.parts.required_cost + self.forced();
@@ -362,20 +425,20 @@ impl Stop<'_> {
 
     /// The feedback vertex set without `kept`, with the first move as a vertex of its own, and the second
     /// one if there are `more`; `gone` is put aside anyway.
-    fn cycles(&self, more: bool, kept: ObjectSet, gone: Option<usize>) -> f64 {
+    fn cycles(&self, more: bool, kept: &ObjectSet, gone: Option<usize>, watch: &mut Watch) -> f64 {
         let (parts, object, count) = (&self.proof.parts, self.object, self.proof.costs.len());
         let (first, second) = (count, count + 1);
         // Who comes after the object has left the place again.
         let left = if more { second } else { object };
-        let required = parts.required;
+        let required = &parts.required;
         let blockers = |i: usize| {
             if i == first {
-                return (self.starts & required).without(object);
+                return (&self.starts & required).without(object);
             }
             if i == second {
                 return if more { ObjectSet::EMPTY.with(first) } else { ObjectSet::EMPTY };
             }
-            let mut set = parts.graph.blockers(i);
+            let mut set = parts.graph.blockers(i).clone();
             if i == object {
                 return set.with(if more { second } else { first });
             }
@@ -389,10 +452,10 @@ impl Stop<'_> {
         };
         let graph = DependencyGraph::from_blockers((0..count + 2).map(blockers).collect());
         let graph = match gone {
-            Some(gone) => graph.restricted(ObjectSet::first(count + 2).without(gone)),
+            Some(gone) => graph.restricted(&ObjectSet::first(count + 2).without(gone)),
             None => graph,
         };
-        self.proof.feedback(&graph, kept.with(object).with(first).with(second))
+        self.proof.feedback(&graph, &kept.with(object).with(first).with(second), watch)
     }
 }
 

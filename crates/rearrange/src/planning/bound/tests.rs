@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 fn bounds(problem: &Problem) -> [(Vec<f64>, LowerBound); 2] {
     let scene = Scene::new(problem);
     let impedances = problem.objects.iter().map(|object| object.impedance).collect();
-    let bound = |objective| solver::lower_bound(&scene, objective, 0.0);
+    let bound = |objective| solver::lower_bound(&scene, objective, 0.0, &mut Watch::new(&|| false));
     [(vec![1.0; problem.objects.len()], bound(Objective::Pp)), (impedances, bound(Objective::Ti))]
 }
 

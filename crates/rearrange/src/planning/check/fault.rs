@@ -5,6 +5,9 @@
 /// Why a plan is refused. Actions count from 0; lengths are micrometres.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PlanFault {
+    /// The caller ended the check before it was through; nothing is known.
+    #[error("the check was not finished: it was stopped")]
+    Unfinished,
     /// The start arrangement itself overlaps beyond the tolerance.
     #[error("start: {object} overlaps {meets} by {depth_um:.3} um; {tolerated_um:.3} um are tolerated")]
     Start {

@@ -4,6 +4,7 @@
 //! contains. `take` puts a vertex into the set; `keep` decides against it, which joins its predecessors to
 //! its successors (a vertex that thereby gets an arc to itself has to be taken).
 
+use crate::planning::effort::Watch;
 use crate::planning::graph::DependencyGraph;
 use crate::planning::object_set::Bits;
 
@@ -19,7 +20,7 @@ impl<const WORDS: usize> Kernel<WORDS> {
     /// The whole graph, nothing decided. It has at most as many vertices as the sets hold.
     pub fn new(graph: &DependencyGraph) -> Kernel<WORDS> {
         let mut kernel = Kernel {
-            out: (0..graph.len()).map(|v| graph.blockers(v).resized()).collect(),
+            out: (0..graph.len()).map(|v| graph.blockers(v).bits()).collect(),
             into: vec![Bits::EMPTY; graph.len()],
             alive: Bits::first(graph.len()),
         };
@@ -85,9 +86,9 @@ impl<const WORDS: usize> Kernel<WORDS> {
         Kernel { out: cut(&self.out), into: cut(&self.into), alive: self.alive & vertices }
     }
 
-    /// Strongly connected components of what is alive.
-    pub fn components(&self) -> Vec<Bits<WORDS>> {
-        components_of(self.alive, &self.out, &self.into)
+    /// Strongly connected components of what is alive; None if `watch` ends the search for them.
+    pub fn components(&self, watch: &mut Watch) -> Option<Vec<Bits<WORDS>>> {
+        components_of(self.alive, &self.out, &self.into, watch)
     }
 
     /// The vertex with the most paths through it for its weight; partners count double, as taking or keeping
@@ -100,15 +101,20 @@ impl<const WORDS: usize> Kernel<WORDS> {
         self.alive.iter().max_by(|&a, &b| score(a).total_cmp(&score(b)).then(b.cmp(&a)))
     }
 
-    /// Reduces as far as the rules go; returns the vertices that were taken.
-    pub fn reduce(&mut self, weights: &[f64]) -> Bits<WORDS> {
+    /// Reduces as far as the rules go, or as `watch` lets them; returns the vertices that were taken.
+    pub fn reduce(&mut self, weights: &[f64], watch: &mut Watch) -> Bits<WORDS> {
         let mut taken = Bits::EMPTY;
         loop {
-            while self.reduce_vertices(weights, &mut taken) {}
-            if !(self.drop_idle_arcs() || self.drop_dominated_arcs()) {
+            while watch.go_on(self.ticks_of_a_pass()) && self.reduce_vertices(weights, &mut taken) {}
+            if !(self.drop_idle_arcs(watch) || self.drop_dominated_arcs(watch)) {
                 return taken;
             }
         }
+    }
+
+    /// What it takes to look at every vertex once.
+    pub fn ticks_of_a_pass(&self) -> u64 {
+        (self.alive.len() * WORDS) as u64
     }
 
     /// One pass of the vertex rules; true if anything changed.
@@ -147,12 +153,12 @@ impl<const WORDS: usize> Kernel<WORDS> {
 
     /// Drops one-way arcs that lie on no cycle of one-way arcs: every longer cycle over a two-way arc
     /// contains two partners, whose own cycle of two has to be broken anyway.
-    fn drop_idle_arcs(&mut self) -> bool {
+    fn drop_idle_arcs(&mut self, watch: &mut Watch) -> bool {
         let one_way_out: Vec<Bits<WORDS>> = (0..self.out.len()).map(|v| self.out[v] - self.into[v]).collect();
         let one_way_into: Vec<Bits<WORDS>> =
             (0..self.out.len()).map(|v| self.into[v] - self.out[v]).collect();
         let mut changed = false;
-        for component in components_of(self.alive, &one_way_out, &one_way_into) {
+        for component in components_of(self.alive, &one_way_out, &one_way_into, watch).unwrap_or_default() {
             for v in component {
                 for w in one_way_out[v] - component {
                     self.remove_arc(v, w);
@@ -164,9 +170,12 @@ impl<const WORDS: usize> Kernel<WORDS> {
     }
 
     /// Drops a one-way arc u -> w when every one-way cycle over it has a shortcut past u or past w.
-    fn drop_dominated_arcs(&mut self) -> bool {
+    fn drop_dominated_arcs(&mut self, watch: &mut Watch) -> bool {
         let mut changed = false;
         for u in self.alive {
+            if !watch.go_on((self.out[u].len() * WORDS) as u64) {
+                break;
+            }
             for w in self.out[u] - self.into[u] {
                 let before = self.into[u] - self.out[u];
                 let after = self.out[w] - self.into[w];
@@ -189,15 +198,20 @@ fn components_of<const WORDS: usize>(
     alive: Bits<WORDS>,
     out: &[Bits<WORDS>],
     into: &[Bits<WORDS>],
-) -> Vec<Bits<WORDS>> {
+    watch: &mut Watch,
+) -> Option<Vec<Bits<WORDS>>> {
     let mut rest = alive;
     let mut components = Vec::new();
     while let Some(v) = rest.smallest() {
-        let component = reach(v, out, rest) & reach(v, into, rest);
+        let (after, before) = (reach(v, out, rest), reach(v, into, rest));
+        if !watch.go_on(((after.len() + before.len()) * WORDS) as u64) {
+            return None;
+        }
+        let component = after & before;
         rest = rest - component;
         components.push(component);
     }
-    components
+    Some(components)
 }
 
 fn reach<const WORDS: usize>(from: usize, arcs: &[Bits<WORDS>], within: Bits<WORDS>) -> Bits<WORDS> {

@@ -1,22 +1,32 @@
 //! Minimum weight feedback vertex set: the cheapest objects that have to make way a second time.
 //!
-//! In: a dependency graph and a positive weight for each vertex. Out: a vertex set whose removal leaves no
-//! cycle, proved cheapest, or, when the node limit ends the search, the best one found with a valid lower
-//! bound. Branch and bound on bitsets: `kernel` shrinks a graph without changing its optimum, `packing`
-//! bounds from below by cliques and cycles, this file branches, splits into components, and keeps what the
-//! bound shows to be too dear (reduced cost fixing). Source: the reductions are those of Levy and Low (1988)
+//! In: a dependency graph, a positive weight for each vertex, a watch. Out: a vertex set whose removal
+//! leaves no cycle, proved cheapest, or, when the node limit or the caller ends the search, the best one
+//! found with a valid lower bound. Branch and bound on bitsets: `kernel` shrinks a graph without changing
+//! its optimum, `packing` bounds from below by cliques and cycles, this file branches, splits into
+//! components, and keeps what the bound shows to be too dear (reduced cost fixing); `large` takes graphs of
+//! more vertices than the bitsets hold apart first. Source: the reductions are those of Levy and Low (1988)
 //! and Lin and Jou (2000), with the side conditions that weights need.
 
 pub mod kernel;
 
+mod large;
+
 pub mod packing;
 
+use crate::planning::effort::Watch;
 use crate::planning::feedback::kernel::Kernel;
 use crate::planning::graph::DependencyGraph;
 use crate::planning::object_set::{Bits, ObjectSet};
 
 /// Nodes after which the search gives up its claim of optimality; the public graphs need far fewer.
 const NODE_LIMIT: u64 = 2_000_000;
+
+/// The same for graphs of more than 64 vertices, whose nodes take about ten times as long.
+const NODE_LIMIT_OF_MANY: u64 = 5_000;
+
+/// Nested decisions after which a graph of more than 256 vertices is given up: each takes stack.
+const DEEPEST: usize = 600;
 
 /// Two sums of weights closer than this, relative to the total weight, are the same.
 const RELATIVE_TOLERANCE: f64 = 1e-12;
@@ -34,68 +44,100 @@ pub struct FeedbackSet {
     pub nodes: u64,
 }
 
-/// The minimum weight feedback vertex set of `graph`; `weights` are positive and finite, one a vertex.
-pub fn minimum(graph: &DependencyGraph, weights: &[f64]) -> FeedbackSet {
-    minimum_within(graph, weights, NODE_LIMIT)
-}
-
-/// As [`minimum`], giving up the proof after `node_limit` nodes of the search.
-pub fn minimum_within(graph: &DependencyGraph, weights: &[f64], node_limit: u64) -> FeedbackSet {
-    // One word a set where that is enough: it is what the search spends its time on.
-    if graph.len() <= Bits::<1>::CAPACITY {
-        search::<1>(graph, weights, node_limit)
-    } else {
-        search::<4>(graph, weights, node_limit)
+impl FeedbackSet {
+    /// No set is cheaper, but for the rounding of sums.
+    pub fn is_minimum(&self) -> bool {
+        self.lower_bound >= self.weight * (1.0 - 1e-9)
     }
 }
 
-fn search<const WORDS: usize>(graph: &DependencyGraph, weights: &[f64], node_limit: u64) -> FeedbackSet {
+/// The minimum weight feedback vertex set of `graph`; `weights` are positive and finite, one a vertex.
+pub fn minimum(graph: &DependencyGraph, weights: &[f64], watch: &mut Watch) -> FeedbackSet {
+    let few = graph.len() <= Bits::<1>::CAPACITY;
+    minimum_within(graph, weights, if few { NODE_LIMIT } else { NODE_LIMIT_OF_MANY }, watch)
+}
+
+/// As [`minimum`], giving up the proof after `node_limit` nodes of the search.
+pub fn minimum_within(
+    graph: &DependencyGraph,
+    weights: &[f64],
+    node_limit: u64,
+    watch: &mut Watch,
+) -> FeedbackSet {
+    // One word a set where that is enough: it is what the search spends its time on.
+    if graph.len() <= Bits::<1>::CAPACITY {
+        search::<1>(graph, weights, node_limit, watch)
+    } else if graph.len() <= Bits::<4>::CAPACITY {
+        search::<4>(graph, weights, node_limit, watch)
+    } else {
+        large::by_components(graph, weights, node_limit, watch)
+    }
+}
+
+fn search<const WORDS: usize>(
+    graph: &DependencyGraph,
+    weights: &[f64],
+    node_limit: u64,
+    watch: &mut Watch,
+) -> FeedbackSet {
     let root = Kernel::<WORDS>::new(graph);
     let tolerance = RELATIVE_TOLERANCE * weights.iter().sum::<f64>();
-    let mut search = Search { weights, nodes_left: node_limit, tolerance };
+    let mut search = Search { weights, nodes_left: node_limit, depth: 0, tolerance, watch };
     let mut reduced = root.clone();
-    let forced = reduced.reduce(weights);
-    let floor = forced.weight(weights) + packing::lower_bound(&reduced, weights);
+    let forced = reduced.reduce(weights, search.watch);
+    let floor = forced.weight(weights) + packing::lower_bound(&reduced, weights, search.watch);
     let greedy = search.greedy(root.clone());
     let ceiling = greedy.weight(weights);
     let found = search.solve(root, ceiling);
-    let vertices: ObjectSet = found.unwrap_or(greedy).resized();
+    let vertices = ObjectSet::from(found.unwrap_or(greedy));
     let weight = vertices.weight(weights);
-    let proved = search.nodes_left > 0;
+    let proved = search.nodes_left > 0 && !search.watch.is_stopped();
     let lower_bound = if proved { weight } else { floor.min(weight) };
     FeedbackSet { vertices, weight, lower_bound, nodes: node_limit - search.nodes_left }
 }
 
-struct Search<'a> {
+struct Search<'a, 'w> {
     weights: &'a [f64],
     nodes_left: u64,
+    /// Nested decisions.
+    depth: usize,
     tolerance: f64,
+    watch: &'a mut Watch<'w>,
 }
 
-impl Search<'_> {
-    /// A feedback vertex set by taking, again and again, the vertex on most paths for its weight.
-    fn greedy<const WORDS: usize>(&self, mut kernel: Kernel<WORDS>) -> Bits<WORDS> {
-        let mut taken = kernel.reduce(self.weights);
+impl Search<'_, '_> {
+    /// A feedback vertex set by taking, again and again, the vertex on most paths for its weight; what the
+    /// watch leaves undecided is taken as a whole.
+    fn greedy<const WORDS: usize>(&mut self, mut kernel: Kernel<WORDS>) -> Bits<WORDS> {
+        let mut taken = kernel.reduce(self.weights, self.watch);
         while let Some(v) = kernel.busiest(self.weights) {
+            if self.watch.is_stopped() {
+                return taken | kernel.alive();
+            }
             kernel.take(v);
-            taken = taken.with(v) | kernel.reduce(self.weights);
+            taken = taken.with(v) | kernel.reduce(self.weights, self.watch);
         }
         taken
     }
 
     /// The cheapest feedback vertex set that weighs less than `ceiling`, if there is one.
     fn solve<const WORDS: usize>(&mut self, mut kernel: Kernel<WORDS>, ceiling: f64) -> Option<Bits<WORDS>> {
-        if self.nodes_left == 0 {
+        if self.depth == DEEPEST {
+            self.nodes_left = 0;
+        }
+        if self.nodes_left == 0 || self.watch.is_stopped() {
             return None;
         }
         self.nodes_left -= 1;
-        let forced = kernel.reduce(self.weights);
+        let forced = kernel.reduce(self.weights, self.watch);
         let paid = forced.weight(self.weights);
         if paid >= ceiling - self.tolerance {
             return None;
         }
-        let rest = self.solve_reduced(kernel, ceiling - paid)?;
-        Some(forced | rest)
+        self.depth += 1;
+        let rest = self.solve_reduced(kernel, ceiling - paid);
+        self.depth -= 1;
+        Some(forced | rest?)
     }
 
     fn solve_reduced<const WORDS: usize>(
@@ -103,12 +145,12 @@ impl Search<'_> {
         kernel: Kernel<WORDS>,
         ceiling: f64,
     ) -> Option<Bits<WORDS>> {
-        let components = kernel.components();
+        let components = kernel.components(self.watch)?;
         if components.len() > 1 {
             return self.solve_components(&kernel, &components, ceiling);
         }
         let Some(v) = kernel.busiest(self.weights) else { return Some(Bits::EMPTY) };
-        let dual = packing::dual(&kernel, self.weights);
+        let dual = packing::dual(&kernel, self.weights, self.watch);
         let slack = ceiling - self.tolerance - dual.bound;
         if slack <= 0.0 {
             return None;
@@ -155,11 +197,12 @@ impl Search<'_> {
         parts: &[Bits<WORDS>],
         ceiling: f64,
     ) -> Option<Bits<WORDS>> {
-        let mut parts: Vec<(Kernel<WORDS>, f64)> = parts
-            .iter()
-            .map(|part| kernel.restricted(*part))
-            .map(|part| (part.clone(), packing::lower_bound(&part, self.weights)))
-            .collect();
+        let bounded = |part: &Bits<WORDS>| {
+            let part = kernel.restricted(*part);
+            let bound = packing::lower_bound(&part, self.weights, self.watch);
+            (part, bound)
+        };
+        let mut parts: Vec<(Kernel<WORDS>, f64)> = parts.iter().map(bounded).collect();
         parts.sort_by_key(|(part, _)| part.alive().len());
         let mut expected: f64 = parts.iter().map(|(_, bound)| bound).sum();
         let mut all = Bits::EMPTY;

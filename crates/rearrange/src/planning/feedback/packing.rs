@@ -5,6 +5,7 @@
 //! times; each cycle does the same and counts it once. No vertex is ever charged more than its weight, so
 //! what was counted is a feasible solution of the linear programme's dual.
 
+use crate::planning::effort::Watch;
 use crate::planning::feedback::kernel::Kernel;
 use crate::planning::object_set::Bits;
 
@@ -12,8 +13,8 @@ use crate::planning::object_set::Bits;
 const CYCLE_LENGTHS: [usize; 3] = [3, 4, usize::MAX];
 
 /// The bound; 0 for an acyclic graph.
-pub fn lower_bound<const WORDS: usize>(kernel: &Kernel<WORDS>, weights: &[f64]) -> f64 {
-    dual(kernel, weights).bound
+pub fn lower_bound<const WORDS: usize>(kernel: &Kernel<WORDS>, weights: &[f64], watch: &mut Watch) -> f64 {
+    dual(kernel, weights, watch).bound
 }
 
 /// A solution of the linear programme's dual.
@@ -25,12 +26,13 @@ pub struct Dual {
     pub left: Vec<f64>,
 }
 
-/// The bound and how far each vertex is from being part of it.
-pub fn dual<const WORDS: usize>(kernel: &Kernel<WORDS>, weights: &[f64]) -> Dual {
+/// The bound and how far each vertex is from being part of it. Where `watch` ends the packing, what was
+/// packed until then is a lower bound as well.
+pub fn dual<const WORDS: usize>(kernel: &Kernel<WORDS>, weights: &[f64], watch: &mut Watch) -> Dual {
     let mut packing = Packing { kernel, left: weights.to_vec(), active: kernel.alive(), bound: 0.0 };
-    packing.pack_cliques();
+    packing.pack_cliques(watch);
     for longest in CYCLE_LENGTHS {
-        packing.pack_cycles(longest);
+        packing.pack_cycles(longest, watch);
     }
     Dual { bound: packing.bound, left: packing.left }
 }
@@ -55,8 +57,8 @@ impl<const WORDS: usize> Packing<'_, WORDS> {
         }
     }
 
-    fn pack_cliques(&mut self) {
-        loop {
+    fn pack_cliques(&mut self, watch: &mut Watch) {
+        while watch.go_on(2 * self.kernel.ticks_of_a_pass()) {
             let partners = |v: usize| self.kernel.partners(v) & self.active;
             let seed = self.active.iter().max_by_key(|&v| partners(v).len());
             let Some(seed) = seed.filter(|&v| !partners(v).is_empty()) else { return };
@@ -70,9 +72,12 @@ impl<const WORDS: usize> Packing<'_, WORDS> {
         }
     }
 
-    fn pack_cycles(&mut self, longest: usize) {
+    fn pack_cycles(&mut self, longest: usize, watch: &mut Watch) {
         for v in self.active {
             while self.active.contains(v) {
+                if !watch.go_on(self.kernel.ticks_of_a_pass()) {
+                    return;
+                }
                 let Some(cycle) = self.shortest_cycle(v, longest) else { break };
                 self.charge(cycle, 1);
             }

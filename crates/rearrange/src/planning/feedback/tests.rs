@@ -4,34 +4,39 @@ use super::*;
 use good_lp::{Expression, ProblemVariables, Solution, SolverModel, constraint, microlp, variable};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+fn free() -> Watch<'static> {
+    Watch::new(&|| false)
+}
 
 fn random_graph(rng: &mut ChaCha8Rng, count: usize, density: f64) -> DependencyGraph {
     DependencyGraph::from_fn(count, |_, _| rng.random_bool(density))
 }
 
-fn is_acyclic(graph: &DependencyGraph, without: ObjectSet) -> bool {
+fn is_acyclic(graph: &DependencyGraph, without: &ObjectSet) -> bool {
     let kept = ObjectSet::first(graph.len()) - without;
     let order: Vec<usize> = (0..graph.len()).collect();
-    graph.restricted(kept).components(&order).iter().all(|component| component.len() == 1)
+    graph.restricted(&kept).components(&order).iter().all(|component| component.len() == 1)
 }
 
 fn brute_force(graph: &DependencyGraph, weights: &[f64]) -> f64 {
     (0u32..1 << graph.len())
         .map(|mask| (0..graph.len()).filter(|v| mask >> v & 1 == 1).collect::<ObjectSet>())
-        .filter(|set| is_acyclic(graph, *set))
+        .filter(|set| is_acyclic(graph, set))
         .map(|set| set.weight(weights))
         .fold(f64::INFINITY, f64::min)
 }
 
 /// A cycle of `graph` that avoids `without`, by walking until a vertex comes twice.
-fn any_cycle(graph: &DependencyGraph, without: ObjectSet) -> Option<ObjectSet> {
-    let kept = graph.restricted(ObjectSet::first(graph.len()) - without);
+fn any_cycle(graph: &DependencyGraph, without: &ObjectSet) -> Option<ObjectSet> {
+    let kept = graph.restricted(&(ObjectSet::first(graph.len()) - without));
     let order: Vec<usize> = (0..graph.len()).collect();
     let component = kept.components(&order).into_iter().find(|c| c.len() > 1)?;
     let inside: ObjectSet = component.iter().copied().collect();
     let mut walk = vec![component[0]];
     loop {
-        let next = (kept.blockers(walk[walk.len() - 1]) & inside).smallest()?;
+        let next = (kept.blockers(walk[walk.len() - 1]) & &inside).smallest()?;
         if let Some(at) = walk.iter().position(|&v| v == next) {
             return Some(walk[at..].iter().copied().collect());
         }
@@ -55,7 +60,7 @@ fn by_integer_programme(graph: &DependencyGraph, weights: &[f64]) -> f64 {
         let mut set: ObjectSet = (0..graph.len()).filter(|&v| solution.value(taken[v]) > 0.5).collect();
         let weight = set.weight(weights);
         let before = cycles.len();
-        while let Some(cycle) = any_cycle(graph, set) {
+        while let Some(cycle) = any_cycle(graph, &set) {
             set.insert(cycle.smallest().expect("a cycle has vertices"));
             cycles.push(cycle);
         }
@@ -83,9 +88,9 @@ fn equals_brute_force_on_small_graphs() {
         let density = rng.random_range(0.05..0.7);
         let graph = random_graph(&mut rng, count, density);
         let weights = random_weights(&mut rng, count, case % 3);
-        let found = minimum(&graph, &weights);
+        let found = minimum(&graph, &weights, &mut free());
         let wanted = brute_force(&graph, &weights);
-        assert!(is_acyclic(&graph, found.vertices), "case {case}: {graph:?}");
+        assert!(is_acyclic(&graph, &found.vertices), "case {case}: {graph:?}");
         assert!(
             (found.weight - wanted).abs() < 1e-9,
             "case {case}: {} not {wanted}; {graph:?}",
@@ -103,9 +108,9 @@ fn equals_the_integer_programme_on_random_graphs() {
         let density = rng.random_range(0.06..0.25);
         let graph = random_graph(&mut rng, count, density);
         let weights = random_weights(&mut rng, count, case % 3);
-        let found = minimum(&graph, &weights);
+        let found = minimum(&graph, &weights, &mut free());
         let wanted = by_integer_programme(&graph, &weights);
-        assert!(is_acyclic(&graph, found.vertices), "case {case}");
+        assert!(is_acyclic(&graph, &found.vertices), "case {case}");
         assert!(
             (found.weight - wanted).abs() < 1e-7,
             "case {case}: {} not {wanted}; {graph:?}",
@@ -120,9 +125,9 @@ fn a_cut_search_keeps_a_valid_bound() {
     for _ in 0..20 {
         let graph = random_graph(&mut rng, 30, 0.15);
         let weights = random_weights(&mut rng, 30, 2);
-        let exact = minimum(&graph, &weights);
-        let cut = minimum_within(&graph, &weights, 1);
-        assert!(is_acyclic(&graph, cut.vertices));
+        let exact = minimum(&graph, &weights, &mut free());
+        let cut = minimum_within(&graph, &weights, 1, &mut free());
+        assert!(is_acyclic(&graph, &cut.vertices));
         assert!(cut.lower_bound <= exact.weight + 1e-9 && exact.weight <= cut.weight + 1e-9);
     }
 }
@@ -140,6 +145,61 @@ fn more_than_64_vertices_make_no_difference() {
         });
         let shifted: Vec<f64> =
             (0..80usize).map(|v| if v < 60 { 1.0 } else { weights[(v - 60) % 14] }).collect();
-        assert_eq!(minimum(&wide, &shifted).weight, minimum(&narrow, &weights).weight);
+        assert_eq!(
+            minimum(&wide, &shifted, &mut free()).weight,
+            minimum(&narrow, &weights, &mut free()).weight
+        );
+    }
+}
+
+/// Graphs of some components side by side.
+fn side_by_side(parts: &[DependencyGraph]) -> DependencyGraph {
+    let mut blockers = Vec::new();
+    for part in parts {
+        let first = blockers.len();
+        blockers.extend((0..part.len()).map(|v| part.blockers(v).iter().map(|j| first + j).collect()));
+    }
+    DependencyGraph::from_blockers(blockers)
+}
+
+#[test]
+fn more_vertices_than_the_bitsets_hold_are_solved_component_by_component() {
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let parts: Vec<DependencyGraph> = (0..40).map(|_| random_graph(&mut rng, 10, 0.3)).collect();
+    let graph = side_by_side(&parts);
+    let weights = random_weights(&mut rng, graph.len(), 2);
+    let found = minimum(&graph, &weights, &mut free());
+    let wanted: f64 = (0..parts.len()).map(|k| brute_force(&parts[k], &weights[10 * k..10 * k + 10])).sum();
+    assert!(is_acyclic(&graph, &found.vertices));
+    assert!((found.weight - wanted).abs() < 1e-9 && found.is_minimum(), "{found:?}, not {wanted}");
+}
+
+#[test]
+fn a_component_of_any_size_gets_a_set_and_a_bound() {
+    // Swaps along a line: every second vertex has to be taken, and no cheaper set exists.
+    for count in [257, 1030, 3000] {
+        let line = DependencyGraph::from_fn(count, |i, j| i.abs_diff(j) == 1);
+        let found = minimum(&line, &vec![1.0; count], &mut free());
+        assert!(is_acyclic(&line, &found.vertices), "{count}");
+        assert!(found.lower_bound > 0.4 * count as f64 && found.lower_bound <= (count / 2) as f64, "{count}");
+        assert!(found.weight >= (count / 2) as f64 && found.weight < 0.6 * count as f64, "{count}");
+    }
+}
+
+#[test]
+fn a_search_that_is_stopped_at_any_question_keeps_a_valid_bound_and_ends() {
+    let mut rng = ChaCha8Rng::seed_from_u64(6);
+    for (count, density) in [(40, 0.12), (100, 0.04), (400, 0.008)] {
+        let graph = random_graph(&mut rng, count, density);
+        let weights = random_weights(&mut rng, count, 2);
+        let best = minimum(&graph, &weights, &mut free());
+        for questions in 0..30 {
+            let asked = AtomicU64::new(0);
+            let stop = || asked.fetch_add(1, Ordering::Relaxed) >= questions;
+            let cut = minimum_within(&graph, &weights, u64::MAX, &mut Watch::new(&stop));
+            assert!(is_acyclic(&graph, &cut.vertices), "{count} vertices, {questions} questions");
+            assert!(cut.lower_bound <= best.weight + 1e-9, "{count} vertices, {questions} questions");
+            assert!(asked.load(Ordering::Relaxed) <= questions + 1, "no question after the answer");
+        }
     }
 }

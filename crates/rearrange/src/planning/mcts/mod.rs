@@ -17,7 +17,7 @@ mod table;
 mod tree;
 
 use crate::planning::buffers::Arrangement;
-use crate::planning::effort::Effort;
+use crate::planning::effort::{Effort, Watch};
 use crate::planning::mcts::table::Table;
 use crate::planning::mcts::tree::Tree;
 use crate::planning::object_set::ObjectSet;
@@ -36,6 +36,9 @@ pub const FIRST_TREE: usize = 20_000;
 /// Nodes after which any tree is dropped (about 1 kB each). Each tree may have twice as many as the one
 /// before.
 pub const LARGEST_TREE: usize = 160_000;
+
+/// Positions of objects that the nodes of any tree may hold together, each of 4 bytes: 160 MB.
+const MOST_POSITIONS: usize = 40_000_000;
 
 /// What the caller makes of a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,18 +66,20 @@ pub struct TreeSearch<'a> {
 
 impl<'a> TreeSearch<'a> {
     /// A root. `rule` says who counts how much; start and goal are of every object; the tree is full at
-    /// `most` nodes.
+    /// `most` nodes. None where `watch` ends the work.
     pub fn new(
         scene: &'a Scene<'a>,
         rule: Arc<Rule>,
         start: &Arrangement,
         goal: Arrangement,
         most: usize,
-    ) -> TreeSearch<'a> {
-        let table = Table::new(scene, start, &goal);
+        watch: &mut Watch,
+    ) -> Option<TreeSearch<'a>> {
+        let table = Table::new(scene, start, &goal, watch)?;
         let root = table.start();
         let tree = Tree::new(rule.clone(), &root, table.home(&root));
-        TreeSearch { rule, goal, table, tree, most, exhausted: false }
+        let most = most.min(MOST_POSITIONS / start.len().max(1)).max(1);
+        Some(TreeSearch { rule, goal, table, tree, most, exhausted: false })
     }
 
     /// Nothing grows any more.
@@ -118,8 +123,11 @@ impl<'a> TreeSearch<'a> {
         let mut path = vec![0];
         loop {
             let at = path[path.len() - 1];
-            let untried = self.tree.node(at).untried;
+            let untried = &self.tree.node(at).untried;
             if untried.is_empty() {
+                if !effort.watch().go_on(self.goal.len() as u64) {
+                    return Visit::Grown;
+                }
                 match self.tree.best_child(at, ceiling) {
                     Some(child) => path.push(child),
                     None if at == 0 => return Visit::Exhausted,
@@ -139,8 +147,8 @@ impl<'a> TreeSearch<'a> {
                 continue;
             };
             path.push(reached.node);
-            let home = self.tree.node(reached.node).home;
-            self.tree.reward(&path, home.weight(&self.rule.rewards));
+            let reward = self.tree.node(reached.node).home.weight(&self.rule.rewards);
+            self.tree.reward(&path, reward);
             if !self.tree.is_goal(reached.node) {
                 return Visit::Grown;
             }
@@ -160,8 +168,8 @@ impl<'a> TreeSearch<'a> {
         let (moved, place) = self.table.act(&state, object, &self.goal, rng, effort)?;
         let mut next = state.to_vec();
         next[moved] = place;
-        let home = self.tree.node(at).home;
-        let home: ObjectSet = if moved == object { home.with(object) } else { home };
+        let home = &self.tree.node(at).home;
+        let home: ObjectSet = if moved == object { home.with(object) } else { home.clone() };
         Some(self.tree.link(at, object, moved, &next, home))
     }
 

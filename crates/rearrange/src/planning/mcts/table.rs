@@ -8,7 +8,7 @@
 //! each new place.
 
 use crate::planning::buffers::Arrangement;
-use crate::planning::effort::Effort;
+use crate::planning::effort::{Effort, Watch};
 use crate::planning::object_set::ObjectSet;
 use crate::planning::scene::{Scene, Spot};
 use rand_chacha::ChaCha8Rng;
@@ -36,18 +36,30 @@ pub(super) struct Table<'a> {
 }
 
 impl<'a> Table<'a> {
-    /// Numbers the starts and the goals. An object that starts at its goal has one place for both.
-    pub(super) fn new(scene: &'a Scene<'a>, start: &Arrangement, goal: &Arrangement) -> Table<'a> {
+    /// Numbers the starts and the goals. An object that starts at its goal has one place for both. None
+    /// where `watch` ends the work.
+    pub(super) fn new(
+        scene: &'a Scene<'a>,
+        start: &Arrangement,
+        goal: &Arrangement,
+        watch: &mut Watch,
+    ) -> Option<Table<'a>> {
         let mut table = Table { scene, places: Vec::new(), goals: Vec::new() };
         for (object, spot) in start.iter().enumerate() {
+            if !watch.go_on(scene.row_ticks()) {
+                return None;
+            }
             table.add(object, spot.clone(), goal);
         }
         for (object, spot) in goal.iter().enumerate() {
+            if !watch.go_on(scene.row_ticks()) {
+                return None;
+            }
             let stays = spot.pose == start[object].pose;
             let place = if stays { object as u32 } else { table.add(object, spot.clone(), goal) };
             table.goals.push(place);
         }
-        table
+        Some(table)
     }
 
     fn add(&mut self, object: usize, spot: Arc<Spot>, goal: &Arrangement) -> u32 {

@@ -28,11 +28,22 @@ fn ends(scene: &Scene) -> (Arrangement, Arrangement) {
     (start, all.map(|o| scene.goal(o).expect("all have goals").clone()).collect())
 }
 
+fn tree_search<'a>(
+    scene: &'a Scene<'a>,
+    rule: &Rule,
+    start: &Arrangement,
+    goal: Arrangement,
+    most: usize,
+) -> TreeSearch<'a> {
+    let mut watch = Watch::new(&|| false);
+    TreeSearch::new(scene, Arc::new(rule.clone()), start, goal, most, &mut watch).expect("nothing stops it")
+}
+
 /// Every plan that a search of so much work offers, in order.
 fn plans(problem: &Problem, rule: &Rule, work: u64, seed: u64) -> Vec<Vec<Move>> {
     let scene = Scene::new(problem);
     let (start, goal) = ends(&scene);
-    let mut search = TreeSearch::new(&scene, Arc::new(rule.clone()), &start, goal, usize::MAX);
+    let mut search = tree_search(&scene, rule, &start, goal, usize::MAX);
     let mut found = Vec::new();
     let mut effort = Effort::new(Some(work), &|| false);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -59,7 +70,8 @@ fn who_is_relocated_really_blocks() {
     for seed in 0..20 {
         let mut effort = Effort::new(None, &|| false);
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut known = Table::new(&scene, &start, &goal);
+        let mut known =
+            Table::new(&scene, &start, &goal, &mut Watch::new(&|| false)).expect("nothing stops it");
         let state = known.start();
         let (moved, place) = known.act(&state, 0, &goal, &mut rng, &mut effort).expect("there is room");
         assert_eq!(moved, 2);
@@ -115,7 +127,7 @@ fn a_full_table_exhausts_the_tree() {
     ]);
     let scene = Scene::new(&problem);
     let (start, goal) = ends(&scene);
-    let mut search = TreeSearch::new(&scene, Arc::new(Rule::plain(2)), &start, goal, 100);
+    let mut search = tree_search(&scene, &Rule::plain(2), &start, goal, 100);
     let mut effort = Effort::new(Some(10_000), &|| false);
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let mut ceiling = f64::INFINITY;

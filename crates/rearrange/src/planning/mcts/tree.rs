@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 /// An edge: serving `object` leads to `node`.
 struct Child {
-    object: u16,
+    object: u32,
     node: u32,
 }
 
@@ -76,17 +76,17 @@ impl Tree {
 
     fn push(&mut self, state: &[u32], home: ObjectSet, parent: usize, cost: f64) -> usize {
         let state: Arc<[u32]> = state.into();
-        let away = ObjectSet::first(state.len()) - home;
+        let away = ObjectSet::first(state.len()) - &home;
         let at = self.nodes.len();
         self.by_state.insert(state.clone(), at as u32);
         self.nodes.push(Node {
             state,
             home,
+            rest: away.weight(&self.rule.costs),
             untried: away,
             children: Vec::new(),
             parent: parent as u32,
             cost,
-            rest: away.weight(&self.rule.costs),
             visits: 0.0,
             rewards: 0.0,
             closed: false,
@@ -120,7 +120,7 @@ impl Tree {
             Some(node) => Reached { node, improved: self.found_way(from, node, cost) },
             None => Reached { node: self.push(state, home, from, cost), improved: true },
         };
-        self.nodes[from].children.push(Child { object: object as u16, node: reached.node as u32 });
+        self.nodes[from].children.push(Child { object: object as u32, node: reached.node as u32 });
         reached
     }
 
@@ -146,7 +146,7 @@ impl Tree {
                 continue;
             }
             let visits = node.visits.max(1.0);
-            let exploration = self.rule.exploration[usize::from(child.object)];
+            let exploration = self.rule.exploration[child.object as usize];
             let bound = node.rewards / visits + exploration * spread / visits.sqrt();
             if best.is_none_or(|(most, _)| bound > most) {
                 best = Some((bound, child.node as usize));

@@ -80,7 +80,7 @@ pub struct Control<'a> {
     pub stop: &'a (dyn Fn() -> bool + Sync),
     /// Called with each better plan and its cost, after the plan was checked.
     pub on_plan: &'a (dyn Fn(&[Action], f64) + Sync),
-    /// Called when `auto` has proved a higher bound.
+    /// Called with the bound that the search begins with, and when `auto` has proved a higher one.
     pub on_bound: &'a (dyn Fn(f64) + Sync),
     /// Stop at the first plan. Those built on TRLB (TBM, RBM, ETBM, ERBM) always do.
     pub first: bool,

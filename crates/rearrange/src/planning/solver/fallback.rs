@@ -43,14 +43,15 @@ pub(super) fn fallback<'a>(
 fn total_buffers<'a>(scene: &'a Scene<'a>, objective: Objective, seed: u64) -> Box<Search<'a>> {
     let weights = heuristic(scene, objective);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let (start, goals) = (scene.starts().to_vec(), completion::assigned_goals(scene));
+    let (start, mut goals) = (scene.starts().to_vec(), None);
     let mut trees: Option<Trees> = None;
     Box::new(move |effort| {
+        let goals = goals.get_or_insert_with(|| completion::assigned_goals(scene, effort.watch()));
         let planner = total_buffers_planner(&weights);
         let trlb = Trlb { scene, planner: &planner, detours: true };
         while effort.step() {
             let growing = trees.take().filter(|both| !both.are_full());
-            let mut new = || completion::complete(scene, &goals, &mut rng, effort);
+            let mut new = || completion::complete(scene, goals, &mut rng, effort);
             let both = growing.or_else(|| new().map(|goal| Trees::new(start.clone(), goal)));
             let Some(mut both) = both else { continue };
             let plan = trlb.go_on(&mut both, &mut rng, effort);
@@ -67,19 +68,22 @@ fn total_buffers<'a>(scene: &'a Scene<'a>, objective: Objective, seed: u64) -> B
 fn tree_search<'a>(scene: &'a Scene<'a>, seed: u64) -> Box<Search<'a>> {
     let rule = Arc::new(Rule::plain(scene.problem.objects.len()));
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let (start, goals) = (scene.starts().to_vec(), completion::assigned_goals(scene));
+    let (start, mut goals) = (scene.starts().to_vec(), None);
     let mut most = FIRST_TREE;
     let mut tree: Option<TreeSearch> = None;
     Box::new(move |effort| {
+        let goals = goals.get_or_insert_with(|| completion::assigned_goals(scene, effort.watch()));
         let mut found = None;
         while found.is_none() && effort.step() {
             let mut growing = match tree.take().filter(|tree| !tree.is_over()) {
                 Some(growing) => growing,
                 None => {
-                    let goal = completion::complete(scene, &goals, &mut rng, effort);
+                    let goal = completion::complete(scene, goals, &mut rng, effort);
                     let Some(goal) = goal else { continue };
-                    let new = TreeSearch::new(scene, rule.clone(), &start, goal, most);
+                    let watch = effort.watch();
+                    let new = TreeSearch::new(scene, rule.clone(), &start, goal, most, watch);
                     most = LARGEST_TREE.min(2 * most);
+                    let Some(new) = new else { continue };
                     new
                 }
             };

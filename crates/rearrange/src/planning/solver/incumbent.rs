@@ -7,8 +7,9 @@
 use crate::geometry::pose::Pose2;
 use crate::planning::auto::worker::PortfolioTask;
 use crate::planning::auto::{self, Audience};
+use crate::planning::bound::Parts;
 use crate::planning::check::CheckedPlan;
-use crate::planning::effort::Effort;
+use crate::planning::effort::{Effort, Watch};
 use crate::planning::mcts::Verdict;
 use crate::planning::plan::{Action, ActionKind, Objective};
 use crate::planning::problem::{Problem, ProblemObject};
@@ -17,6 +18,10 @@ use crate::planning::solver::control::{Control, SolverKind, cost, reaches};
 use crate::planning::solver::fallback;
 use crate::planning::solver::search::{self, Setting};
 use crate::planning::trlb::Move;
+
+/// Ticks of work for which a plan is checked after the search has to end: some hundredths of a second,
+/// enough for a thousand simple objects. What was found in time is not thrown away.
+const CHECK_GRACE: u64 = 4_000_000;
 
 /// The best plan so far, and who decides whether another one is better.
 pub(super) struct Incumbent<'a> {
@@ -44,7 +49,9 @@ impl<'a> Incumbent<'a> {
 impl Audience for Incumbent<'_> {
     /// Takes a plan if the independent checker does, keeps it if cheaper, and reports it to the caller then.
     fn offer(&mut self, moves: &[Move]) -> Verdict {
-        let Ok(plan) = CheckedPlan::new(self.problem, &actions(self.problem, moves)) else {
+        let mut watch = Watch::with_grace(self.control.stop, CHECK_GRACE);
+        let actions = actions(self.problem, moves);
+        let Ok(plan) = CheckedPlan::within(self.problem, &actions, &mut watch) else {
             return Verdict::Refused;
         };
         let cost = cost(self.problem, self.objective, self.control, plan.actions());
@@ -65,16 +72,25 @@ impl Audience for Incumbent<'_> {
     }
 }
 
+/// What moves cost, and what the bound says of them.
+pub(super) struct Moves {
+    /// Cost of one move of each object.
+    pub(super) costs: Vec<f64>,
+    /// What the bound is put together from, by these costs.
+    pub(super) parts: Parts,
+}
+
 /// Searches until the solver's rule, the control or the effort ends it; the plan is left in `incumbent`.
 pub(super) fn run(
     scene: &Scene,
     solver: SolverKind,
     seed: u64,
+    moves: &Moves,
     incumbent: &mut Incumbent,
     effort: &mut Effort,
 ) {
     if solver == SolverKind::Auto {
-        return auto(scene, seed, incumbent, effort);
+        return auto(scene, seed, moves, incumbent, effort);
     }
     let setting = Setting { objective: incumbent.objective, strict_paper: incumbent.control.strict_paper };
     search::run(scene, solver, seed, setting, &mut |moves| incumbent.offer(moves), effort);
@@ -82,10 +98,8 @@ pub(super) fn run(
 
 /// Our own solver. It counts moves, weighted by impedance under TI; under `time` the caller judges whole
 /// plans.
-fn auto(scene: &Scene, seed: u64, incumbent: &mut Incumbent, effort: &mut Effort) {
+fn auto(scene: &Scene, seed: u64, moves: &Moves, incumbent: &mut Incumbent, effort: &mut Effort) {
     let (problem, objective, control) = (scene.problem, incumbent.objective, incumbent.control);
-    let weigh = |o: &ProblemObject| if objective == Objective::Ti { o.impedance } else { 1.0 };
-    let costs: Vec<f64> = problem.objects.iter().map(weigh).collect();
     let fallback = |worker, seed| fallback::fallback(scene, objective, worker, seed);
     let judge = |moves: &[Move]| cost(problem, objective, control, &actions(problem, moves));
     let is_known = |action: &&Action| {
@@ -94,7 +108,8 @@ fn auto(scene: &Scene, seed: u64, incumbent: &mut Incumbent, effort: &mut Effort
     let known = control.known_plan.iter().filter(is_known).map(|action| (action.object, action.to));
     let task = PortfolioTask {
         scene,
-        costs: &costs,
+        costs: &moves.costs,
+        bound: &moves.parts,
         judge: if objective == Objective::Time { Some(&judge) } else { None },
         worth: if objective == Objective::Time { control.least_move_seconds } else { 1.0 },
         fallback: &fallback,

@@ -143,7 +143,7 @@ fn repeat(
     mut search: impl FnMut(&Arrangement, Arrangement, &mut ChaCha8Rng, &mut Effort) -> bool,
 ) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let goals = completion::assigned_goals(scene);
+    let goals = completion::assigned_goals(scene, effort.watch());
     let start = scene.starts().to_vec();
     while !effort.is_over() {
         // Found anew each time: where an object without a goal ends may decide whether there is a plan.
@@ -176,7 +176,9 @@ fn tree_search(scene: &Scene, rule: Rule, seed: u64, offer: &mut Offer, effort: 
     let (rule, mut ceiling) = (Arc::new(rule), f64::INFINITY);
     let mut most = FIRST_TREE;
     repeat(scene, seed, effort, |start, goal, rng, effort| {
-        let mut search = TreeSearch::new(scene, rule.clone(), start, goal, most);
+        let Some(mut search) = TreeSearch::new(scene, rule.clone(), start, goal, most, effort.watch()) else {
+            return false;
+        };
         let enough = search.grow(&mut ceiling, rng, effort, &mut |moves| offer(&moves));
         most = LARGEST_TREE.min(2 * most);
         enough

@@ -10,11 +10,17 @@ use crate::tabletop::instance::{Instance, ObjectSpec};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+fn begun<'a>(scene: &'a Scene<'a>, costs: &'a [f64]) -> BufferSpaceBound<'a> {
+    let mut watch = Watch::new(&|| false);
+    let parts = Parts::new(scene, costs, &mut watch);
+    BufferSpaceBound::new(scene, costs, parts, &mut watch)
+}
+
 fn proved(instance: &Instance) -> f64 {
     let problem = Problem::new(instance).expect("valid");
     let scene = Scene::new(&problem);
     let costs = vec![1.0; problem.objects.len()];
-    let mut proof = BufferSpaceBound::new(&scene, &costs);
+    let mut proof = begun(&scene, &costs);
     proof.work(f64::INFINITY, &mut Effort::new(None, &|| false));
     assert!(proof.is_done());
     proof.value
@@ -115,11 +121,11 @@ fn no_plan_is_cheaper_and_often_more_is_proved() {
         let Some(problem) = crowded(&mut rng, count) else { continue };
         let scene = Scene::new(&problem);
         let costs = vec![1.0; count];
-        let simple = bound::lower_bound(&scene, &costs).value;
+        let simple = bound::lower_bound(&scene, &costs, &mut Watch::new(&|| false)).value;
         if simple == count as f64 {
             continue;
         }
-        let mut proof = BufferSpaceBound::new(&scene, &costs);
+        let mut proof = begun(&scene, &costs);
         proof.work(f64::INFINITY, &mut Effort::new(Some(400_000), &|| false));
         assert!(proof.value >= simple);
         // Any plan will do, and the first ones are not the best: the more of them, the sharper the test.
