@@ -15,11 +15,12 @@ use crate::perception::{Perception, PerceptionError, Picture};
 use cell_calibration::fit::Sample;
 use cell_edge::clock::Clock;
 use cell_edge::files;
+use cell_edge::panics::guarded;
 use cell_edge::priority;
 use cell_machine::code::Code;
 use cell_machine::event::Event;
 use cell_machine::planner::answer;
-use cell_machine::supervisor::input::{CameraFault, PlanRequest};
+use cell_machine::supervisor::input::{CameraFault, PlanAnswer, PlanRequest};
 use cell_values::time::Timestamp;
 use cell_vision::detect::Detector;
 use cell_vision::foreign::HeldBody;
@@ -32,6 +33,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
+
+/// Stack of the planner's thread: a search of a thousand objects goes as many calls deep. What is not used
+/// costs nothing.
+const PLANNER_STACK_BYTES: usize = 16 << 20;
 
 /// What is requested of perception.
 pub enum SeeRequest {
@@ -340,21 +345,45 @@ pub fn spawn_plan(
     // what is searched for while the arm moves has to be there before it rests.
     let meanwhile = !request.known_plan.is_empty();
     let limit = if meanwhile { clock.wall(request.time_limit) } else { request.time_limit };
-    std::thread::spawn(move || {
-        beat.now();
-        priority::lower();
+    let plan = move || {
         let started = Instant::now();
         // A plan that the arm cannot carry out is followed by another one, with a budget of its own.
         let over = |attempt: u32| stop.load(Ordering::Relaxed) || started.elapsed() >= limit * (attempt + 1);
-        let answer = answer(&request, None, &over, &|| started.elapsed().as_secs_f64());
+        answer(&request, None, &over, &|| started.elapsed().as_secs_f64())
+    };
+    spawn_planner(number, plan, messages, beat);
+}
+
+/// Runs `plan` on a thread of its own. There is always an answer: a panic, or a thread that cannot be had,
+/// is one.
+fn spawn_planner(
+    number: u64,
+    plan: impl FnOnce() -> PlanAnswer + Send + 'static,
+    messages: mpsc::Sender<Message>,
+    beat: Beat,
+) {
+    let answered = move |answer| Message::Event(Event::Planned(number, Box::new(answer)));
+    let replies = messages.clone();
+    let work = move || {
+        beat.now();
+        priority::lower();
+        let answer = guarded(plan).unwrap_or_else(PlanAnswer::Failed);
         beat.rests();
-        let _ = messages.blocking_send(Message::Event(Event::Planned(number, Box::new(answer))));
-    });
+        // The loop has ended if there is no receiver.
+        let _ = replies.blocking_send(answered(answer));
+    };
+    let planner = std::thread::Builder::new().name("planner".to_string()).stack_size(PLANNER_STACK_BYTES);
+    if let Err(error) = planner.spawn(work) {
+        let answer = PlanAnswer::Failed(format!("no thread can be started for it: {error}"));
+        // The channel is far longer than what the loop leaves in it.
+        let _ = messages.try_send(answered(answer));
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::daemon::watchdog::Beats;
     use crate::io::camera::CameraError;
     use crate::perception::Scene;
     use cell_values::image::Image;
@@ -435,6 +464,36 @@ mod tests {
         let over = Isometry3::from_parts(nalgebra::Translation3::new(0.1, 0.1, 0.5), down);
         let wants_depth = perception.wants_depth();
         found_in(&mut perception, take(&mut camera, wants_depth, 2, &Clock::new(1.0))?, over)
+    }
+
+    /// What the loop gets from a planner, and the beats of that planner.
+    fn planned(plan: impl FnOnce() -> PlanAnswer + Send + 'static) -> (PlanAnswer, Beats) {
+        let (messages, mut received) = mpsc::channel(4);
+        let beats = Beats::default();
+        spawn_planner(7, plan, messages, beats.task("the planner", Duration::from_secs(60)));
+        match received.blocking_recv() {
+            Some(Message::Event(Event::Planned(7, answer))) => (*answer, beats),
+            _ => panic!("no answer of the planner"),
+        }
+    }
+
+    #[test]
+    fn a_panic_of_a_planner_is_an_answer_with_its_words_and_no_dead_task() {
+        let (answer, beats) = planned(|| panic!("index 256 of 256"));
+        assert!(matches!(&answer, PlanAnswer::Failed(cause) if cause == "index 256 of 256"), "{answer:?}");
+        assert_eq!(beats.late(Instant::now()), []);
+        let (answer, _) = planned(|| PlanAnswer::Timeout);
+        assert!(matches!(answer, PlanAnswer::Timeout), "the next one plans as ever");
+    }
+
+    /// A thread pool hands a panic of one of its threads on to whoever uses it.
+    #[test]
+    fn a_panic_in_a_thread_pool_of_a_planner_is_an_answer_too() {
+        let (answer, _) = planned(|| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("a pool");
+            pool.install(|| rayon::join(|| PlanAnswer::Timeout, || panic!("in the pool")).0)
+        });
+        assert!(matches!(&answer, PlanAnswer::Failed(cause) if cause == "in the pool"), "{answer:?}");
     }
 
     #[test]

@@ -330,7 +330,12 @@ const TABLE: [(Code, Place, &str, &str); 86] = [
     (Code::BadStart, Place::Result, "bad_start", "the measured table is no valid start"),
     (Code::NoPlan, Place::Result, "no_plan", "no plan was found in time"),
     (Code::SolverUnfit, Place::Result, "solver_unfit", "the chosen solver does not solve this kind of job"),
-    (Code::PlannerStuck, Place::Result, "planner_stuck", "the planner did not answer within its budget"),
+    (
+        Code::PlannerStuck,
+        Place::Result,
+        "planner_stuck",
+        "the planner failed, or did not answer within its budget",
+    ),
     (Code::TableDisturbed, Place::Result, "table_disturbed", "the table disagreed with the plan too often"),
     (Code::ObjectMissing, Place::Result, "object_missing", "an object that is needed is not seen"),
     (Code::ObjectTilted, Place::Result, "object_tilted", "an object does not lie flat"),

@@ -84,6 +84,8 @@ pub enum PlanAnswer {
     Unsolvable(String),
     /// The arm cannot move an object from or to where it has to.
     OutOfReach(Box<OutOfReach>),
+    /// The planner itself failed, in the words of its panic.
+    Failed(String),
 }
 
 /// What happened.

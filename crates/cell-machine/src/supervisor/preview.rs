@@ -64,7 +64,8 @@ impl Supervisor {
             | PlanAnswer::Timeout
             | PlanAnswer::Refused(_)
             | PlanAnswer::Unsolvable(_)
-            | PlanAnswer::OutOfReach(_) => None,
+            | PlanAnswer::OutOfReach(_)
+            | PlanAnswer::Failed(_) => None,
         };
         let Some((note, route)) = found else {
             let reason = why_no_plan(answer);

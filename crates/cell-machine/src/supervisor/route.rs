@@ -269,6 +269,11 @@ pub(crate) fn why_no_plan(answer: &PlanAnswer) -> Reason {
         PlanAnswer::Unsolvable(cause) => {
             Code::SolverUnfit.because(cause.clone(), "choose another solver or objective in the job")
         }
+        PlanAnswer::Failed(cause) => {
+            let hint =
+                "submit the job again with another seed or solver, and report this as a fault of celld";
+            Code::PlannerStuck.because(format!("the planner failed: {cause}"), hint)
+        }
         PlanAnswer::OutOfReach(fault) => {
             let hint = match fault.buffer {
                 None => fault.hint.as_ref(),

@@ -73,6 +73,24 @@ fn an_emergency_stop_while_a_plan_is_made_ends_the_job() {
 }
 
 #[test]
+fn a_planner_that_fails_ends_its_job_with_the_reason_and_the_next_job_is_planned() {
+    let mut bench = Bench::new();
+    bench.job(false);
+    bench.until_planning();
+    let failed = bench.feed(Input::Planned(Box::new(PlanAnswer::Failed("index 256 of 256".into()))));
+    assert_eq!(ended(&failed), Some((JobStatus::Failed, "planner_stuck".into())));
+    let told = failed.iter().any(|action| match action {
+        Action::Commit { record: Record::Ended(report), .. } => {
+            report.message.contains("index 256 of 256") && report.hint.contains("another seed or solver")
+        }
+        _ => false,
+    });
+    assert!(told, "{failed:?}");
+    bench.job(false);
+    assert!(bench.until_planning().iter().any(|action| matches!(action, Action::Plan(_))));
+}
+
+#[test]
 fn disarming_in_the_middle_of_a_look_keeps_the_arm_where_it_is() {
     let mut bench = Bench::new();
     bench.cell = Supervisor::new(CellModel { look_poses: vec![HOME, HOME], ..model() }, 7);
