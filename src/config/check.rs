@@ -5,7 +5,7 @@
 //! other fault. Pure.
 
 use crate::config::calibration::check_board;
-use crate::config::cell::{Devices, MotionLimits};
+use crate::config::cell::Devices;
 use crate::config::parts::CellParts;
 use crate::config::sessions::HELD_SHARE;
 use cell_calibration::drawn::CameraMount;
@@ -40,9 +40,6 @@ pub(super) fn check_cell(decoder: &mut Decoder, parts: &CellParts, places: &Plac
     check_poses(decoder, parts, places);
     check_board(decoder, parts, places);
     check_empty(decoder, parts, places);
-    if let Some(limits) = &parts.limits {
-        check_limits(decoder, limits, places);
-    }
     check_reference_markers(decoder, places, &parts.object_markers);
     check_ignored(decoder, parts, places);
     check_references_are_aside(decoder, parts, places);
@@ -223,17 +220,6 @@ fn check_range(decoder: &mut Decoder, range: &[(f64, f64); 6], pose: &Joints, at
     }
 }
 
-fn check_limits(decoder: &mut Decoder, limits: &MotionLimits, places: &Places) {
-    if limits.blend_m > limits.lift_height_m {
-        let message = format!(
-            "a blend radius of {} m rounds the corner of a lift of {} m off",
-            limits.blend_m, limits.lift_height_m
-        );
-        let at = places.at(&["limits", "blend_m"]);
-        decoder.complain(at, "limits.blend_m", message, "make it smaller than limits.lift_height_m");
-    }
-}
-
 fn check_object(decoder: &mut Decoder, parts: &CellParts, object: &ObjectSpec, at: Location, path: &str) {
     if let Some(Workspace { width, height }) = parts.table.size
         && !fits_table(&object.footprint, width, height)
@@ -271,7 +257,8 @@ fn check_object(decoder: &mut Decoder, parts: &CellParts, object: &ObjectSpec, a
     }
 }
 
-fn cups(gripper: &GripperConfig) -> Vec<Cup> {
+/// The cups as the search for a place on an object needs them.
+pub fn cups(gripper: &GripperConfig) -> Vec<Cup> {
     let cup = |cup: &CupConfig| Cup { x: cup.x_m, y: cup.y_m, radius: cup.diameter_m / 2.0 };
     gripper.cups.iter().map(cup).collect()
 }

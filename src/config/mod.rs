@@ -10,6 +10,7 @@ pub mod empty;
 pub mod fleet;
 pub mod fragment;
 mod kept;
+mod limits;
 pub mod load;
 pub mod page;
 mod parts;

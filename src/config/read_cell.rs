@@ -12,6 +12,7 @@ use crate::config::check::check_cell;
 use crate::config::fleet::fleet;
 use crate::config::fragment::ConfigFragment;
 use crate::config::kept::{history, recording};
+use crate::config::limits::check_limits;
 use crate::config::page::page;
 use crate::config::parts::{CellParts, TableParts};
 use crate::jobs::journal::old::HistoryLimits;
@@ -111,7 +112,9 @@ pub fn read_cell(
     let mut beside = Diagnostics::default();
     let cell = decoder.map(&At::top(&node), CELL_KEYS).and_then(|fields| {
         let parts = parts(&mut decoder, &fields, folder, read_file, &mut beside);
-        check_cell(&mut decoder, &parts, &Places::new(&node));
+        let places = Places::new(&node);
+        check_cell(&mut decoder, &parts, &places);
+        check_limits(&mut decoder, &parts, &places);
         parts.whole()
     });
     // A fault beside this file is no fault in it.

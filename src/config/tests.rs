@@ -143,6 +143,26 @@ fn limits_are_not_optional() {
     }
 }
 
+#[test]
+fn a_limit_that_arm_or_vacuum_cannot_reach_is_named_with_the_figure() {
+    check(
+        "joint_acceleration_deg_s2: 120 ",
+        "joint_acceleration_deg_s2: 2000 ",
+        "limits.joint_acceleration_deg_s2: 2000 degrees/s2 is more than the arm can do",
+    );
+    check("joint_acceleration_deg_s2: 120 ", "joint_acceleration_deg_s2: 1351 ", "1350 degrees/s2 at most");
+    // The planks of 0.09 kg are the lightest.
+    check("tool_acceleration_m_s2: 1.0 ", "tool_acceleration_m_s2: 20 ", "the cups carry \"plank");
+    let fast = [
+        ("joint_speed_deg_s: 60 ", "joint_speed_deg_s: 180 "),
+        ("joint_acceleration_deg_s2: 120 ", "joint_acceleration_deg_s2: 1350 "),
+        ("tool_speed_m_s: 0.25 ", "tool_speed_m_s: 1.0 "),
+        ("tool_acceleration_m_s2: 1.0 ", "tool_acceleration_m_s2: 5 "),
+    ];
+    let text = fast.iter().fold(CELL.to_string(), |text, (from, to)| replace_once(&text, from, to));
+    assert!(cell(&text).is_ok(), "{}", cell(&text).unwrap_err());
+}
+
 /// In scaled time the simulator is silent for 250 ms of the wall's clock at most while it waits for celld
 /// itself.
 #[test]
