@@ -4,11 +4,24 @@
 //! looked for, and the weights by which one set is preferred to another. Roll-outs, stops and contests price
 //! alike only as long as they share these.
 
-/// Nodes of the search for a feedback vertex set: enough for a proof on the tables that the paper has. Of
-/// more vertices than a machine word holds a proof may take seconds, and a step of a roll-out is to take
-/// less than milliseconds.
-pub fn node_limit(vertices: usize) -> u64 {
-    if vertices <= 64 { 20_000 } else { 500 }
+use crate::planning::effort::Watch;
+use crate::planning::feedback;
+use crate::planning::graph::DependencyGraph;
+use crate::planning::object_set::ObjectSet;
+
+/// Nodes of the search for a feedback vertex set: enough for a proof on the tables that the paper has.
+const NODE_LIMIT: u64 = 20_000;
+
+/// Vertices up to which the cheapest set is searched for: as many as a machine word has bits. Of more a
+/// proof may take seconds, and a step of a roll-out is to take less than milliseconds.
+const FEW: usize = 64;
+
+/// The cheapest feedback vertex set, or a cheap one of a large graph.
+pub fn feedback_set(graph: &DependencyGraph, weights: &[f64], watch: &mut Watch) -> ObjectSet {
+    if graph.len() <= FEW {
+        return feedback::minimum_within(graph, weights, NODE_LIMIT, watch).vertices;
+    }
+    feedback::large::approximate(graph, weights, watch)
 }
 
 /// Weight of a move that is not to be put aside, in moves.

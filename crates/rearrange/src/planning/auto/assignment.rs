@@ -5,11 +5,10 @@
 //! each object away from its end, and the feedback vertex set of their graph.
 
 use crate::geometry::pose::Pose2;
-use crate::planning::auto::aside::node_limit;
+use crate::planning::auto::aside::feedback_set;
 use crate::planning::auto::table::Table;
 use crate::planning::buffers::Arrangement;
 use crate::planning::effort::Watch;
-use crate::planning::feedback;
 use crate::planning::object_set::ObjectSet;
 use crate::planning::scene::{Scene, Spot};
 use rand::RngExt;
@@ -113,7 +112,8 @@ impl Groups {
     }
 }
 
-/// No way between the two arrangements costs less.
+/// What the way between the two arrangements costs where there is room to put aside what has to be; no way
+/// costs less, as long as the set is the cheapest.
 fn promise(
     scene: &Scene,
     costs: &[f64],
@@ -122,6 +122,6 @@ fn promise(
     watch: &mut Watch,
 ) -> Option<f64> {
     let table = Table::new(scene, from, ends, ObjectSet::EMPTY, watch)?;
-    let set = feedback::minimum_within(&table.graph(), costs, node_limit(ends.len()), watch);
-    Some(table.remaining.weight(costs) + set.lower_bound)
+    let set = feedback_set(&table.graph(), costs, watch);
+    Some(table.remaining.weight(costs) + set.weight(costs))
 }

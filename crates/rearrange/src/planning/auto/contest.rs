@@ -6,11 +6,10 @@
 //! displacing objects that have to be put aside anyway costs nothing. Many places are priced roughly, the
 //! best of them by that bound.
 
-use crate::planning::auto::aside::node_limit;
+use crate::planning::auto::aside::feedback_set;
 use crate::planning::auto::parking;
 use crate::planning::auto::table::Table;
 use crate::planning::effort::{Effort, Watch};
-use crate::planning::feedback;
 use crate::planning::graph::DependencyGraph;
 use crate::planning::object_set::ObjectSet;
 use crate::planning::scene::Spot;
@@ -124,7 +123,7 @@ impl Contest<'_> {
             if waits && blocked.contains(i) { rest.with(self.object) } else { rest.without(self.object) }
         };
         let graph = DependencyGraph::from_blockers((0..table.ends.len()).map(blockers).collect());
-        let set = feedback::minimum_within(&graph, &self.weights, node_limit(table.ends.len()), watch).vertices;
+        let set = feedback_set(&graph, &self.weights, watch);
         let home = displaced - &table.remaining;
         let moves = displaced.weight(self.costs) + home.weight(self.costs) + self.costs[self.object];
         (table.remaining.weight(self.costs) + moves + set.weight(self.costs), set | displaced)

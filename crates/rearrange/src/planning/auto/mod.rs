@@ -34,6 +34,12 @@ const MEMBERS: u64 = 4;
 /// Steps of each worker in the first round; a first plan is often found within.
 const FIRST_ROUND: u64 = 200;
 
+/// Movable objects for which that is meant; with more of them the first round has fewer steps.
+const FEW: u64 = 64;
+
+/// Steps of each worker in the first round of a table of very many.
+const SHORTEST_ROUND: u64 = 8;
+
 /// Steps of each worker in the longest rounds: a fraction of a second.
 const LONGEST_ROUND: u64 = 20_000;
 
@@ -64,7 +70,8 @@ impl Search<'_> {
         let PortfolioTask { scene, costs, .. } = *self.task;
         let mut proof = BufferSpaceBound::new(scene, costs, self.task.bound.clone(), effort.watch());
         let mut best: Option<(f64, Vec<Move>)> = None;
-        let mut steps = FIRST_ROUND;
+        // A step of a large table takes longer.
+        let mut steps = (FIRST_ROUND * FEW / FEW.max(scene.movable.len() as u64)).max(SHORTEST_ROUND);
         while !effort.is_over() {
             self.round(&mut members, proof.value * self.task.worth, steps, effort);
             if self.meet(&mut members, &mut best, audience) {

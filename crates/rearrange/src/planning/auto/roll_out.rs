@@ -7,14 +7,13 @@
 //! sets without it are tried, then places that cost another move, then places that others have to leave
 //! first.
 
-use crate::planning::auto::aside::{NUDGE, STEADFAST, node_limit};
+use crate::planning::auto::aside::{NUDGE, STEADFAST, feedback_set};
 use crate::planning::auto::contest::{Contest, Contested};
 use crate::planning::auto::parking::{self, Care, Shapes, Wish};
 use crate::planning::auto::stops::Stop;
 use crate::planning::auto::table::Table;
 use crate::planning::buffers::Arrangement;
 use crate::planning::effort::{Effort, Watch};
-use crate::planning::feedback;
 use crate::planning::object_set::ObjectSet;
 use crate::planning::scene::{Scene, Spot};
 use crate::planning::trlb::Move;
@@ -175,8 +174,7 @@ impl RollOut<'_> {
     fn feedback(&self, dear: &ObjectSet, watch: &mut Watch) -> ObjectSet {
         let mut weights = self.weights();
         dear.iter().for_each(|o| weights[o] *= 4.0);
-        let nodes = node_limit(self.table.ends.len());
-        feedback::minimum_within(&self.table.graph(), &weights, nodes, watch).vertices
+        feedback_set(&self.table.graph(), &weights, watch)
     }
 
     fn too_dear(&self, aside: &ObjectSet) -> bool {

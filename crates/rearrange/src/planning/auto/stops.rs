@@ -5,11 +5,10 @@
 //! costs a feedback vertex: the place is priced by the minimum feedback vertex set of the graph with the
 //! stop in it.
 
-use crate::planning::auto::aside::{STEADFAST, node_limit};
+use crate::planning::auto::aside::{STEADFAST, feedback_set};
 use crate::planning::auto::parking;
 use crate::planning::auto::table::Table;
 use crate::planning::effort::{Effort, Watch};
-use crate::planning::feedback;
 use crate::planning::graph::DependencyGraph;
 use crate::planning::object_set::ObjectSet;
 use crate::planning::scene::Spot;
@@ -85,7 +84,7 @@ impl Stop<'_> {
         weights[object] = STEADFAST * self.costs[object];
         weights.push(weights[object]);
         let graph = DependencyGraph::from_blockers(blockers);
-        let set = feedback::minimum_within(&graph, &weights, node_limit(stop + 1), watch).vertices;
+        let set = feedback_set(&graph, &weights, watch);
         let kept = set.iter().all(|v| v != object && v != stop && !table.is_planned(v));
         kept.then(|| table.remaining.weight(self.costs) + self.costs[object] + set.weight(&weights))
     }

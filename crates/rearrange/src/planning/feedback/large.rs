@@ -6,7 +6,7 @@
 //! common, so the sum of their bounds is a bound, if not a tight one.
 
 use crate::planning::effort::Watch;
-use crate::planning::feedback::{FeedbackSet, search};
+use crate::planning::feedback::{FeedbackSet, greedy, search};
 use crate::planning::graph::DependencyGraph;
 use crate::planning::object_set::{Bits, ObjectSet};
 
@@ -15,6 +15,9 @@ const WIDEST: usize = 16;
 
 /// A node of so wide a search takes as long as so many others.
 const WIDE_NODE: u64 = 16;
+
+/// Nodes of the search in a small component where a set is to be had soon.
+const NODES_OF_A_PART: u64 = 200;
 
 /// A component that is too large loses one in so many of its vertices at a time.
 const PEELED: usize = 16;
@@ -56,6 +59,30 @@ fn cyclic_components(graph: &DependencyGraph, vertices: impl IntoIterator<Item =
     components.retain(|component| component.len() > 1);
     components.iter_mut().for_each(|component| component.sort_unstable());
     components
+}
+
+/// A set without a bound, soon: small components are solved, of the others the busiest vertices are taken.
+pub fn approximate(graph: &DependencyGraph, weights: &[f64], watch: &mut Watch) -> ObjectSet {
+    let mut set = ObjectSet::EMPTY;
+    let mut waiting = cyclic_components(graph, 0..graph.len());
+    while let Some(component) = waiting.pop() {
+        if component.len() > Bits::<WIDEST>::CAPACITY && watch.go_on(component.len() as u64) {
+            let (peeled, rest) = peel(graph, weights, &component);
+            set.extend(&peeled);
+            waiting.extend(cyclic_components(graph, rest));
+            continue;
+        }
+        let part = graph.part(&component);
+        let weights: Vec<f64> = component.iter().map(|&v| weights[v]).collect();
+        let found = match component.len() {
+            _ if watch.is_stopped() => ObjectSet::first(component.len()),
+            0..=64 => search::<1>(&part, &weights, NODES_OF_A_PART, watch).vertices,
+            65..=256 => greedy::<4>(&part, &weights, watch),
+            _ => greedy::<WIDEST>(&part, &weights, watch),
+        };
+        set.extend(&found.iter().map(|v| component[v]).collect());
+    }
+    set
 }
 
 /// The set of one component, whose vertices are numbered in its order.

@@ -10,7 +10,7 @@
 
 pub mod kernel;
 
-mod large;
+pub mod large;
 
 pub mod packing;
 
@@ -72,6 +72,12 @@ pub fn minimum_within(
     } else {
         large::by_components(graph, weights, node_limit, watch)
     }
+}
+
+/// The set that the search begins with.
+fn greedy<const WORDS: usize>(graph: &DependencyGraph, weights: &[f64], watch: &mut Watch) -> ObjectSet {
+    let mut search = Search { weights, nodes_left: 0, depth: 0, tolerance: 0.0, watch };
+    search.greedy(Kernel::<WORDS>::new(graph)).into()
 }
 
 fn search<const WORDS: usize>(

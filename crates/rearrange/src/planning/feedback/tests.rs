@@ -176,13 +176,29 @@ fn more_vertices_than_the_bitsets_hold_are_solved_component_by_component() {
 
 #[test]
 fn a_component_of_any_size_gets_a_set_and_a_bound() {
-    // Swaps along a line: every second vertex has to be taken, and no cheaper set exists.
+    // Swaps along a line: every second vertex has to be taken, and no cheaper set exists. What a component
+    // of more than 1024 vertices loses before it is searched adds nothing to the bound.
     for count in [257, 1030, 3000] {
         let line = DependencyGraph::from_fn(count, |i, j| i.abs_diff(j) == 1);
         let found = minimum(&line, &vec![1.0; count], &mut free());
         assert!(is_acyclic(&line, &found.vertices), "{count}");
-        assert!(found.lower_bound > 0.4 * count as f64 && found.lower_bound <= (count / 2) as f64, "{count}");
+        assert!(found.lower_bound > 0.15 * count as f64 && found.lower_bound <= (count / 2) as f64, "{count}");
         assert!(found.weight >= (count / 2) as f64 && found.weight < 0.6 * count as f64, "{count}");
+    }
+}
+
+#[test]
+fn a_set_that_is_had_soon_breaks_all_cycles_and_is_not_far_from_the_cheapest() {
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    for (count, density) in [(70, 0.03), (200, 0.01), (600, 0.004), (1500, 0.002)] {
+        let graph = random_graph(&mut rng, count, density);
+        let weights = random_weights(&mut rng, count, 0);
+        let soon = large::approximate(&graph, &weights, &mut free());
+        let best = minimum(&graph, &weights, &mut free());
+        assert!(is_acyclic(&graph, &soon), "{count} vertices");
+        assert!(soon.len() as f64 <= 1.1 * best.weight + 2.0, "{count}: {} of {}", soon.len(), best.weight);
+        let stopped = large::approximate(&graph, &weights, &mut Watch::new(&|| true));
+        assert!(is_acyclic(&graph, &stopped), "{count} vertices, stopped");
     }
 }
 

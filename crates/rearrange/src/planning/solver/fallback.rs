@@ -18,6 +18,10 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 
+/// Movable objects up to which a first plan is left to the roll-outs for some rounds. With more of them a
+/// roll-out takes long, and TBM has a plan sooner where there is room.
+const FEW: usize = 64;
+
 /// The fallback solver of the worker of this number.
 pub(super) fn fallback<'a>(
     scene: &'a Scene<'a>,
@@ -25,10 +29,18 @@ pub(super) fn fallback<'a>(
     worker: u64,
     seed: u64,
 ) -> Option<Fallback<'a>> {
+    let many = scene.movable.len() > FEW;
     match worker {
+        // Where there is room for many, the plain sets are found soonest.
+        3 if many => Some(Fallback {
+            search: total_buffers(scene, vec![1.0; scene.problem.objects.len()], seed),
+            from_round: 1,
+            steps: 64,
+            betters: true,
+        }),
         // Its plans are worth a look where ours are long.
         3 => Some(Fallback {
-            search: total_buffers(scene, objective, seed),
+            search: total_buffers(scene, heuristic(scene, objective), seed),
             from_round: 9,
             steps: 8,
             betters: true,
@@ -39,9 +51,8 @@ pub(super) fn fallback<'a>(
     }
 }
 
-/// ETBM.
-fn total_buffers<'a>(scene: &'a Scene<'a>, objective: Objective, seed: u64) -> Box<Search<'a>> {
-    let weights = heuristic(scene, objective);
+/// ETBM; with equal weights TBM.
+fn total_buffers<'a>(scene: &'a Scene<'a>, weights: Vec<f64>, seed: u64) -> Box<Search<'a>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let (start, mut goals) = (scene.starts().to_vec(), None);
     let mut trees: Option<Trees> = None;
