@@ -21,6 +21,8 @@ pub struct Figure {
     pub what: &'static str,
     /// How many.
     pub runs: usize,
+    /// Of how many that there are; `None` where there is no end of them.
+    pub of: Option<usize>,
     /// How long all of it took, s.
     pub wall_s: f64,
     /// Simulated seconds in which a job was under way, over wall seconds, where one thread was measured.
@@ -32,12 +34,13 @@ pub struct Figure {
 /// The figures for people.
 pub fn table(figures: &[Figure]) -> String {
     let mut text =
-        format!("{:<22} {:>7} {:>9} {:>11} {:>9}\n", "", "runs", "wall s", "x real time", "failures");
+        format!("{:<22} {:>11} {:>9} {:>11} {:>9}\n", "", "runs", "wall s", "x real time", "failures");
     for figure in figures {
         let speed = figure.times_real_time.map_or(String::new(), |times| format!("{times:.0}"));
+        let runs = figure.of.map_or(figure.runs.to_string(), |of| format!("{} of {of}", figure.runs));
         text.push_str(&format!(
-            "{:<22} {:>7} {:>9.1} {speed:>11} {:>9}\n",
-            figure.what, figure.runs, figure.wall_s, figure.failures
+            "{:<22} {runs:>11} {:>9.1} {speed:>11} {:>9}\n",
+            figure.what, figure.wall_s, figure.failures
         ));
     }
     text
@@ -55,7 +58,7 @@ pub fn speed(what: &'static str, eye: SightKind, jobs: usize, seed: u64) -> Resu
     let wall_s = began.elapsed().as_secs_f64();
     let failures = summary.breaches.len() + summary.stuck.len();
     let times_real_time = Some(summary.busy_s / wall_s.max(1e-9));
-    Ok(Figure { what, runs: summary.jobs, wall_s, times_real_time, failures })
+    Ok(Figure { what, runs: summary.jobs, of: None, wall_s, times_real_time, failures })
 }
 
 /// Every seed twice.
@@ -76,7 +79,14 @@ pub fn twice(first: u64, seeds: u64) -> Result<Figure, String> {
     let same = same?;
     let failures = same.iter().filter(|same| !**same).count();
     let wall_s = began.elapsed().as_secs_f64();
-    Ok(Figure { what: "seeds, each twice", runs: same.len(), wall_s, times_real_time: None, failures })
+    Ok(Figure {
+        what: "seeds, each twice",
+        runs: same.len(),
+        of: None,
+        wall_s,
+        times_real_time: None,
+        failures,
+    })
 }
 
 /// Jobs with random faults; `failed` is called with the seed of each that failed.
@@ -99,20 +109,22 @@ pub fn faults(first: u64, jobs: u64, failed: &(dyn Fn(u64) + Sync)) -> Result<Fi
     Ok(Figure {
         what: "jobs, random faults",
         runs: ran.len(),
+        of: None,
         wall_s: began.elapsed().as_secs_f64(),
         times_real_time: None,
         failures: ran.iter().sum(),
     })
 }
 
-/// Every fault in every phase.
+/// Every fault in every phase, or every so many of these cases.
 ///
 /// # Errors
 /// The loop cannot be set up.
-pub fn sweep() -> Result<Figure, String> {
+pub fn sweep(every: usize) -> Result<Figure, String> {
     let stage = stage(PAGE_SEED, SightKind::Corners)?;
     let page = expected(PAGE);
-    let cases: Vec<_> = cases().collect();
+    let all = cases().count();
+    let cases: Vec<_> = cases().step_by(every).collect();
     let began = Instant::now();
     let ran: Result<Vec<usize>, String> = cases
         .par_iter()
@@ -126,6 +138,7 @@ pub fn sweep() -> Result<Figure, String> {
     Ok(Figure {
         what: "faults in phases",
         runs: ran.len(),
+        of: Some(all),
         wall_s: began.elapsed().as_secs_f64(),
         times_real_time: None,
         failures: ran.iter().sum(),

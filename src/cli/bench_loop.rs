@@ -10,19 +10,23 @@ use cell_edge::terminal::{complain, print};
 
 /// Arguments of `celld bench loop`.
 #[derive(Clone, Debug, clap::Args)]
+#[command(after_help = HELP)]
 pub struct BenchLoopArgs {
-    /// Jobs without faults, seen by corners, for the speed
-    #[arg(long, value_name = "N", default_value_t = 200)]
-    jobs: usize,
-    /// Jobs without faults, seen by rendered pictures, for the speed
-    #[arg(long, value_name = "N", default_value_t = 2)]
-    pictures: usize,
-    /// Seeds that are run twice, a job each; both runs have to be the same, frame by frame
-    #[arg(long, value_name = "N", default_value_t = 50)]
-    seeds: u64,
-    /// Jobs with one to three random faults each
-    #[arg(long, value_name = "N", default_value_t = 100)]
-    faults: u64,
+    /// All sizes in full, and every case of the sweep, in place of the smaller ones below
+    #[arg(long)]
+    full: bool,
+    /// Jobs without faults, seen by corners, for the speed: 50, in full 200
+    #[arg(long, value_name = "N")]
+    jobs: Option<usize>,
+    /// Jobs without faults, seen by rendered pictures, for the speed: 1, in full 2
+    #[arg(long, value_name = "N")]
+    pictures: Option<usize>,
+    /// Seeds that are run twice, a job each; both runs have to be the same, frame by frame: 20, in full 50
+    #[arg(long, value_name = "N")]
+    seeds: Option<u64>,
+    /// Jobs with one to three random faults each: 25, in full 100
+    #[arg(long, value_name = "N")]
+    faults: Option<u64>,
     /// Leave the sweep of all faults in all phases out
     #[arg(long)]
     no_sweep: bool,
@@ -34,21 +38,57 @@ pub struct BenchLoopArgs {
     format: String,
 }
 
+const HELP: &str = "\
+The default sizes end within three minutes on two cores and take every eighth case of the sweep;
+--full measures all of it.";
+
+/// Of the sweep every so many cases, unless all are requested.
+const SWEEP_EVERY: usize = 8;
+
+/// How much is measured.
+struct Sizes {
+    jobs: usize,
+    pictures: usize,
+    seeds: u64,
+    faults: u64,
+    sweep_every: usize,
+}
+
+impl BenchLoopArgs {
+    fn sizes(&self) -> Sizes {
+        let usual = if self.full {
+            Sizes { jobs: 200, pictures: 2, seeds: 50, faults: 100, sweep_every: 1 }
+        } else {
+            Sizes { jobs: 50, pictures: 1, seeds: 20, faults: 25, sweep_every: SWEEP_EVERY }
+        };
+        Sizes {
+            jobs: self.jobs.unwrap_or(usual.jobs),
+            pictures: self.pictures.unwrap_or(usual.pictures),
+            seeds: self.seeds.unwrap_or(usual.seeds),
+            faults: self.faults.unwrap_or(usual.faults),
+            ..usual
+        }
+    }
+}
+
 /// Runs `celld bench loop`. Returns the exit code.
 pub fn run(args: &BenchLoopArgs) -> u8 {
     let mut figures = Vec::new();
+    let sizes = args.sizes();
     let parts: [(bool, Part); 5] = [
-        (args.jobs > 0, |args| speed("jobs, corners", SightKind::Corners, args.jobs, args.seed)),
-        (args.pictures > 0, |args| speed("jobs, pictures", SightKind::Pictures, args.pictures, args.seed)),
-        (args.seeds > 0, |args| twice(args.seed, args.seeds)),
-        (args.faults > 0, |args| faults(args.seed, args.faults, &repeat_with)),
-        (!args.no_sweep, |_| sweep()),
+        (sizes.jobs > 0, |seed, sizes| speed("jobs, corners", SightKind::Corners, sizes.jobs, seed)),
+        (sizes.pictures > 0, |seed, sizes| {
+            speed("jobs, pictures", SightKind::Pictures, sizes.pictures, seed)
+        }),
+        (sizes.seeds > 0, |seed, sizes| twice(seed, sizes.seeds)),
+        (sizes.faults > 0, |seed, sizes| faults(seed, sizes.faults, &repeat_with)),
+        (!args.no_sweep, |_, sizes| sweep(sizes.sweep_every)),
     ];
     for (wanted, part) in parts {
         if !wanted {
             continue;
         }
-        match part(args) {
+        match part(args.seed, &sizes) {
             Ok(figure) => {
                 complain(&format!("measured: {} {} in {:.0} s", figure.runs, figure.what, figure.wall_s));
                 figures.push(figure);
@@ -66,7 +106,7 @@ pub fn run(args: &BenchLoopArgs) -> u8 {
     u8::from(figures.iter().any(|figure| figure.failures > 0))
 }
 
-type Part = fn(&BenchLoopArgs) -> Result<Figure, String>;
+type Part = fn(u64, &Sizes) -> Result<Figure, String>;
 
 fn repeat_with(seed: u64) {
     complain(&format!("repeat with: celld simulate --faults random --jobs 1 --seed {seed}"));

@@ -85,7 +85,7 @@ fn markers(args: &BenchVisionArgs, stop: &AtomicBool) -> Result<Option<Figures>,
         ..DetectSettings::default()
     };
     let task = Task {
-        frames: args.frames as usize,
+        frames: args.frames(),
         seed: args.seed,
         settings,
         threads: usize::from(args.threads),

@@ -7,11 +7,15 @@ use std::path::PathBuf;
 
 /// Arguments of `celld bench vision`.
 #[derive(Clone, Debug, clap::Args)]
+#[command(after_help = HELP)]
 pub struct BenchVisionArgs {
-    /// Frames, five views of a table each
-    #[arg(long, value_name = "N", default_value_t = 500,
+    /// 500 frames and 500 tables with something foreign, in place of the smaller numbers below
+    #[arg(long)]
+    full: bool,
+    /// Frames, five views of a table each: 250, in full 500
+    #[arg(long, value_name = "N",
           value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
-    pub(super) frames: u32,
+    frames: Option<u32>,
     /// Seed of tables, cameras and noise
     #[arg(long, value_name = "S", default_value_t = 0)]
     pub(super) seed: u64,
@@ -55,10 +59,10 @@ pub struct BenchVisionArgs {
     /// Photographs without markers to lie under the clutter of every third of them
     #[arg(long, value_name = "DIR")]
     pub(super) photographs: Option<PathBuf>,
-    /// Tables with something foreign, and as many without
-    #[arg(long, value_name = "N", default_value_t = 500,
+    /// Tables with something foreign, and as many without: 150, in full 500
+    #[arg(long, value_name = "N",
           value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
-    pub(super) scenes: u32,
+    scenes: Option<u32>,
     /// Looks with a bumped camera
     #[arg(long, value_name = "N", default_value_t = 1000,
           value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
@@ -78,6 +82,25 @@ pub struct BenchVisionArgs {
     /// How to print the figures
     #[arg(long, default_value = "text", value_parser = ["text", "json"])]
     pub(super) format: String,
+}
+
+const HELP: &str = "\
+The default numbers end within three minutes; each part says how many it measured.";
+
+/// Frames and scenes unless others are named, and in full.
+const FRAMES: [u32; 2] = [250, 500];
+const SCENES: [u32; 2] = [150, 500];
+
+impl BenchVisionArgs {
+    /// How many frames.
+    pub(super) fn frames(&self) -> usize {
+        self.frames.unwrap_or(FRAMES[usize::from(self.full)]) as usize
+    }
+
+    /// How many tables with something foreign.
+    pub(super) fn scenes(&self) -> usize {
+        self.scenes.unwrap_or(SCENES[usize::from(self.full)]) as usize
+    }
 }
 
 /// Parts of the benchmark.

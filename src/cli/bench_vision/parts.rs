@@ -66,9 +66,8 @@ fn untouched(looks: &drift::Untouched) -> String {
 
 /// How surely things without a marker are found.
 pub(super) fn foreign(args: &BenchVisionArgs, stop: &AtomicBool) -> Result<Option<Figures>, String> {
-    let task =
-        foreign::Task { scenes: args.scenes as usize, seed: args.seed, threads: usize::from(args.threads) };
-    let bar = ProgressBar::new(2 * u64::from(args.scenes));
+    let task = foreign::Task { scenes: args.scenes(), seed: args.seed, threads: usize::from(args.threads) };
+    let bar = ProgressBar::new(2 * args.scenes() as u64);
     let report = foreign::run(task, stop, &|| bar.inc(1))?;
     bar.finish_and_clear();
     let Some(report) = report else { return Ok(None) };
@@ -93,7 +92,7 @@ pub(super) fn foreign(args: &BenchVisionArgs, stop: &AtomicBool) -> Result<Optio
         let _ = writeln!(text, "  {:<22} {:>4} of {:>4}", row.kind, row.found, row.scenes);
     }
     // Colour pictures take longer to draw, and no figure is required.
-    let scenes = (args.scenes as usize).div_ceil(COLOUR_SHARE);
+    let scenes = args.scenes().div_ceil(COLOUR_SHARE);
     let Some(colour) = change::run(scenes, args.seed, usize::from(args.threads), stop)? else {
         return Ok(None);
     };
