@@ -136,8 +136,14 @@ impl Views {
         let mut sweep = Sweep::new(&model.arm.bodies, &room);
         let computed = poses(model, table, heights);
         for q in model.look_poses.iter().copied().chain(computed) {
-            if model.arm.outside_range(&q).is_none() && sweep.place(&q, Zone::Over).is_ok() {
-                views.poses.extend(views.pose(model, q));
+            // Whether it shows enough markers costs less to find out than whether it is free.
+            let camera_from_table = model.camera_at(&q).inverse();
+            if views.picture.shows_references(&camera_from_table)
+                && model.arm.outside_range(&q).is_none()
+                && sweep.place(&q, Zone::Over).is_ok()
+            {
+                let shows = views.shown(&camera_from_table, model.cycle.tallest);
+                views.poses.push(ViewPose { q, shows });
             }
         }
         views
@@ -165,16 +171,12 @@ impl Views {
         points.iter().all(|point| self.picture.shows(&camera.inverse_transform_point(point)))
     }
 
-    /// What is seen from `q`, if it shows enough reference markers.
-    fn pose(&self, model: &Rig, q: Joints) -> Option<ViewPose> {
-        let camera_from_table = model.camera_at(&q).inverse();
-        if !self.picture.shows_references(&camera_from_table) {
-            return None;
-        }
+    /// Which cells are seen, up to the height of the tallest object, m.
+    fn shown(&self, camera_from_table: &Isometry3<f64>, tallest: f64) -> Vec<u64> {
         let corner = |index: usize| {
             let (column, row) = (index % (self.columns + 1), index / (self.columns + 1));
             let at = [column as f64 * CELL_M, row as f64 * CELL_M];
-            self.picture.shows_place(&camera_from_table, at, model.cycle.tallest)
+            self.picture.shows_place(camera_from_table, at, tallest)
         };
         let corners: Vec<bool> = (0..(self.columns + 1) * (self.rows + 1)).map(corner).collect();
         let mut shows = vec![0; self.words()];
@@ -185,7 +187,7 @@ impl Views {
                 shows[cell / 64] |= 1 << (cell % 64);
             }
         }
-        Some(ViewPose { q, shows })
+        shows
     }
 
     /// How many of these places are not seen from `q`; `None` where too few reference markers are.

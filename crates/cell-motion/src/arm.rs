@@ -8,7 +8,7 @@ use cell_values::units::Joints;
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
-use ur_arm::kinematics::{DhParameters, forward, inverse, inverse_near, posture};
+use ur_arm::kinematics::{DhParameters, forward, inverse_in, inverse_near, posture};
 
 /// Limits every path keeps; from the cell's configuration, none has a default.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
@@ -63,11 +63,17 @@ impl ArmModel {
     /// As [`ArmModel::joints_at`], but only in the posture of `home`. Each joint comes as near to `near` as
     /// full turns and its range allow: an arm that was left wound up works on so, and does not sweep round.
     pub fn joints_in_work_posture(&self, table_from_tool: &Isometry3<f64>, near: &Joints) -> Option<Joints> {
-        let wanted = posture(&self.dh, &self.home);
-        inverse(&self.dh, &self.flange_at(table_from_tool))
-            .into_iter()
-            .filter(|q| posture(&self.dh, q) == wanted)
-            .find_map(|q| self.unwound(&q, near))
+        self.first_unwound(&self.in_work_posture(table_from_tool), near)
+    }
+
+    /// All joint solutions of a tool pose in the posture of `home`, without full turns.
+    pub fn in_work_posture(&self, table_from_tool: &Isometry3<f64>) -> Vec<Joints> {
+        inverse_in(&self.dh, &self.flange_at(table_from_tool), posture(&self.dh, &self.home))
+    }
+
+    /// The first of these solutions that can be turned into its range, as [`ArmModel::unwound`] does.
+    pub fn first_unwound(&self, solutions: &[Joints], near: &Joints) -> Option<Joints> {
+        solutions.iter().find_map(|q| self.unwound(q, near))
     }
 
     /// The same position of the arm with each joint turned as near to `near` as its range allows; `None`

@@ -209,13 +209,17 @@ fn candidates(
     let [x, y] = task.from.transform(task.grip_point);
     let mut out = Vec::new();
     for yaw in yaws(task) {
+        let hovers = model.in_work_posture(&tool_down(x, y, hover_height(task, cycle), yaw));
+        if hovers.is_empty() {
+            continue;
+        }
+        let Some(corners) = Corners::new(model, yaw, task, cycle) else { continue };
         // The other way round for joint 6 may save a turn of the object's, or keep it in range.
         for start_turn in [0.0, -TAU, TAU] {
             let mut near = *start;
             near.0[5] += start_turn;
-            let over = tool_down(x, y, hover_height(task, cycle), yaw);
-            let Some(hover) = model.joints_in_work_posture(&over, &near) else { continue };
-            let Some(candidate) = from_over(model, &hover, yaw, task, cycle) else { continue };
+            let Some(hover) = model.first_unwound(&hovers, &near) else { continue };
+            let Some(candidate) = corners.from_over(model, &hover) else { continue };
             let way =
                 start.max_difference(&hover) + candidate.over_pick.max_difference(&candidate.over_place);
             let cost = way + wound(&hover) + wound(&candidate.over_place);
@@ -234,17 +238,45 @@ pub(crate) fn from_over(
     task: &PickNPlace,
     cycle: &CycleParameters,
 ) -> Option<Candidate> {
-    let at = |pose: &Pose2, z, yaw, near: &Joints| {
-        let [x, y] = pose.transform(task.grip_point);
-        model.joints_in_work_posture(&tool_down(x, y, z, yaw), near)
-    };
-    let (high, low) = (travel_height(task, cycle), task.height - cycle.press);
-    let turn = wrap_angle(task.to.theta - task.from.theta);
-    let at_pick = at(&task.from, low, yaw, hover)?;
-    let over_pick = at(&task.from, high, yaw, &at_pick)?;
-    let over_place = at(&task.to, high, yaw + turn, &over_pick)?;
-    let at_place = at(&task.to, low, yaw + turn, &over_place)?;
-    Some(Candidate { yaw, hover: *hover, over_pick, pick: at_pick, over_place, place: at_place, cost: 0.0 })
+    Corners::new(model, yaw, task, cycle)?.from_over(model, hover)
+}
+
+/// Joint solutions at the corners of the move for one yaw, without full turns.
+struct Corners {
+    yaw: f64,
+    pick: Vec<Joints>,
+    over_pick: Vec<Joints>,
+    over_place: Vec<Joints>,
+    place: Vec<Joints>,
+}
+
+impl Corners {
+    /// `None` where one of them has no solution.
+    fn new(model: &ArmModel, yaw: f64, task: &PickNPlace, cycle: &CycleParameters) -> Option<Corners> {
+        let at = |pose: &Pose2, z, yaw| {
+            let [x, y] = pose.transform(task.grip_point);
+            let solutions = model.in_work_posture(&tool_down(x, y, z, yaw));
+            (!solutions.is_empty()).then_some(solutions)
+        };
+        let (high, low) = (travel_height(task, cycle), task.height - cycle.press);
+        let turn = wrap_angle(task.to.theta - task.from.theta);
+        Some(Corners {
+            yaw,
+            pick: at(&task.from, low, yaw)?,
+            over_pick: at(&task.from, high, yaw)?,
+            over_place: at(&task.to, high, yaw + turn)?,
+            place: at(&task.to, low, yaw + turn)?,
+        })
+    }
+
+    /// Each corner as near to the one before as full turns allow.
+    fn from_over(&self, model: &ArmModel, hover: &Joints) -> Option<Candidate> {
+        let pick = model.first_unwound(&self.pick, hover)?;
+        let over_pick = model.first_unwound(&self.over_pick, &pick)?;
+        let over_place = model.first_unwound(&self.over_place, &over_pick)?;
+        let place = model.first_unwound(&self.place, &over_place)?;
+        Some(Candidate { yaw: self.yaw, hover: *hover, over_pick, pick, over_place, place, cost: 0.0 })
+    }
 }
 
 /// What it costs that the last joint is turned far, rad of the leading joint: where it is left at one end of

@@ -8,10 +8,11 @@
 //! start of a few Newton steps on the calibrated parameters. Where two singularities meet these lead
 //! nowhere; then damped steps from many starts find what there is.
 
+use crate::chain::Chain;
 pub use crate::models::{ARM_MODELS, ArmModel, DhParameters, model_of};
 use cell_values::units::Joints;
-use nalgebra::{Isometry3, Matrix6, Quaternion, Translation3, UnitQuaternion, Vector3, Vector6};
-use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, PI, TAU};
+use nalgebra::{Isometry3, Matrix6, Vector3, Vector6};
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 /// Newton stops when the pose error (m and rad together) is below this; the controller's own
 /// `get_inverse_kin` works to 1e-10.
@@ -57,50 +58,30 @@ const NEAR: f64 = 0.15;
 /// Of these starts so many are followed, nearest first.
 const NEAREST: usize = 8;
 
+/// From where on a start is clearly of its family: the wrist before or behind the shoulder axis, m, and the
+/// sines of elbow and wrist 2. Calibrations move a solution by a few millimetres and milliradians.
+const CLEARLY: [f64; 3] = [0.05, 0.1, 0.1];
+
 /// Longest Newton step of a joint, rad.
 const MAX_STEP: f64 = 0.2;
 
 /// `base_from_flange` for joint positions `q`.
 pub fn forward(dh: &DhParameters, q: &Joints) -> Isometry3<f64> {
-    (0..6).fold(Isometry3::identity(), |base_from_link, i| base_from_link * link(dh, i, q.0[i]))
+    Chain::of(dh).forward(q)
 }
 
 /// `base_from_link` of the six links, base to flange: origins and axes for height checks and the Jacobian.
 pub fn link_frames(dh: &DhParameters, q: &Joints) -> [Isometry3<f64>; 6] {
-    let mut base_from_link = Isometry3::identity();
-    std::array::from_fn(|i| {
-        base_from_link *= link(dh, i, q.0[i]);
-        base_from_link
-    })
-}
-
-/// Rz(theta) Tz(d) Tx(a) Rx(alpha) of joint `i`: everything that moves is computed from this, so the product
-/// of the two turns is written out in half angles.
-fn link(dh: &DhParameters, i: usize, q: f64) -> Isometry3<f64> {
-    let (s, c) = (0.5 * (q + dh.theta[i])).sin_cos();
-    let (st, ct) = half_twist(dh.alpha[i]);
-    let turn = UnitQuaternion::new_unchecked(Quaternion::new(c * ct, c * st, s * st, s * ct));
-    let (sin, cos) = (2.0 * s * c, (c - s) * (c + s));
-    Isometry3::from_parts(Translation3::new(dh.a[i] * cos, dh.a[i] * sin, dh.d[i]), turn)
-}
-
-/// Sine and cosine of half a twist; those of the nominal table are known.
-fn half_twist(alpha: f64) -> (f64, f64) {
-    if alpha == 0.0 {
-        (0.0, 1.0)
-    } else if alpha.abs() == FRAC_PI_2 {
-        (FRAC_1_SQRT_2.copysign(alpha), FRAC_1_SQRT_2)
-    } else {
-        (0.5 * alpha).sin_cos()
-    }
+    Chain::of(dh).frames(q)
 }
 
 /// Geometric Jacobian in the base frame: rows 0-2 linear velocity of the flange origin, rows 3-5 angular.
 pub fn jacobian(dh: &DhParameters, q: &Joints) -> Matrix6<f64> {
-    jacobian_of(&link_frames(dh, q))
+    jacobian_at(&link_frames(dh, q))
 }
 
-fn jacobian_of(frames: &[Isometry3<f64>; 6]) -> Matrix6<f64> {
+/// The same from the poses of the links.
+pub fn jacobian_at(frames: &[Isometry3<f64>; 6]) -> Matrix6<f64> {
     let tip = frames[5].translation.vector;
     let mut jacobian = Matrix6::zeros();
     let mut axis_frame = Isometry3::identity();
@@ -124,8 +105,9 @@ pub fn inverse(dh: &DhParameters, base_from_flange: &Isometry3<f64>) -> Vec<Join
     let exact = dh == nominal;
     let beyond = if exact { BEYOND_EXACT } else { BEYOND };
     let starts = inverse_nominal(nominal, base_from_flange, &[0.0], beyond);
+    let chain = Chain::of(dh);
     for (start, sure) in &starts {
-        let found = if *sure && exact { Some(*start) } else { refine(dh, base_from_flange, *start) };
+        let found = if *sure && exact { Some(*start) } else { refine(&chain, base_from_flange, *start) };
         note(&mut solutions, found);
     }
     // Where the nominal arm is not at one of its boundaries, its closed form has said all.
@@ -201,14 +183,47 @@ pub fn inverse_near(
 /// The solution of a pose that a continuous motion from `start` leads to; `None` where there is none, or
 /// where a singularity lies between.
 pub fn inverse_from(dh: &DhParameters, base_from_flange: &Isometry3<f64>, start: &Joints) -> Option<Joints> {
-    refine(dh, base_from_flange, *start)
+    refine(&Chain::of(dh), base_from_flange, *start)
 }
 
 /// Which of the 2 x 2 x 2 solution families `q` belongs to: wrist in front of the shoulder axis or behind,
 /// sign of the elbow, sign of wrist 2. Within one family a continuous motion stays away from singularities.
 pub fn posture(dh: &DhParameters, q: &Joints) -> [bool; 3] {
-    let link_1_from_4 = link(dh, 1, q.0[1]) * link(dh, 2, q.0[2]) * link(dh, 3, q.0[3]);
-    [link_1_from_4.translation.vector.x > 0.0, q.0[2].sin() > 0.0, q.0[4].sin() > 0.0]
+    family(&Chain::of(dh), q).map(|value| value > 0.0)
+}
+
+/// What decides on the family: the wrist's distance before the shoulder axis, m, and two sines.
+fn family(chain: &Chain, q: &Joints) -> [f64; 3] {
+    let link_1_from_4 = chain.link(1, q.0[1]) * chain.link(2, q.0[2]) * chain.link(3, q.0[3]);
+    [link_1_from_4.translation.vector.x, q.0[2].sin(), q.0[4].sin()]
+}
+
+/// The solutions of [`inverse`] that are of one family, in the same order. A start of the closed form that
+/// is clearly of another family is not refined.
+pub fn inverse_in(dh: &DhParameters, base_from_flange: &Isometry3<f64>, wanted: [bool; 3]) -> Vec<Joints> {
+    let nominal = &model_of(dh).dh;
+    let (chain, closed) = (Chain::of(dh), Chain::of(nominal));
+    let exact = dh == nominal;
+    let beyond = if exact { BEYOND_EXACT } else { BEYOND };
+    let other = |start: &Joints| {
+        let values = family(&closed, start).into_iter().zip(CLEARLY).zip(wanted);
+        values.into_iter().any(|((value, clearly), wanted)| value.abs() > clearly && (value > 0.0) != wanted)
+    };
+    let mut solutions = Vec::new();
+    for (start, sure) in inverse_nominal(nominal, base_from_flange, &[0.0], beyond) {
+        if sure && other(&start) {
+            continue;
+        }
+        let found = if sure && exact { Some(start) } else { refine(&chain, base_from_flange, start) };
+        note(&mut solutions, found);
+    }
+    let of_family = |q: &Joints| family(&chain, q).map(|value| value > 0.0) == wanted;
+    solutions.retain(of_family);
+    if solutions.is_empty() {
+        solutions = inverse(dh, base_from_flange);
+        solutions.retain(of_family);
+    }
+    solutions
 }
 
 /// Adds full turns to each joint so that it comes nearest to `near` inside `range`; `None` if one cannot.
@@ -308,16 +323,16 @@ fn clamped_acos(cosine: f64, beyond: f64) -> Option<(f64, bool)> {
 }
 
 /// Newton on the pose error; `None` when it does not converge (out of reach, or in a singularity).
-fn refine(dh: &DhParameters, target: &Isometry3<f64>, start: Joints) -> Option<Joints> {
+fn refine(chain: &Chain, target: &Isometry3<f64>, start: Joints) -> Option<Joints> {
     let mut q = start;
     for _ in 0..MAX_NEWTON_STEPS {
-        let frames = link_frames(dh, &q);
+        let frames = chain.frames(&q);
         let error = pose_error(&frames[5], target);
         if error.norm() < POSE_TOLERANCE {
             return Some(q);
         }
         // Damping far below the arm's own scale only keeps an exactly singular start solvable.
-        let j = jacobian_of(&frames);
+        let j = jacobian_at(&frames);
         let damped = j.transpose() * j + Matrix6::identity() * 1e-12;
         let step = damped.cholesky()?.solve(&(j.transpose() * error));
         if !step.iter().all(|value| value.is_finite()) {
@@ -329,7 +344,7 @@ fn refine(dh: &DhParameters, target: &Isometry3<f64>, start: Joints) -> Option<J
             *value += share * delta;
         }
     }
-    (pose_error(&forward(dh, &q), target).norm() < 1e-9).then_some(q)
+    (pose_error(&chain.forward(&q), target).norm() < 1e-9).then_some(q)
 }
 
 /// The same by Levenberg and Marquardt, for starts near a singularity: slower, and it comes nearer with
@@ -375,6 +390,7 @@ pub fn pose_error(from: &Isometry3<f64>, to: &Isometry3<f64>) -> Vector6<f64> {
 mod tests {
     use super::*;
     use crate::pose::ur_pose_from_isometry;
+    use nalgebra::UnitQuaternion;
     use rand::RngExt;
     use rand::SeedableRng;
 
@@ -431,7 +447,7 @@ mod tests {
             let steps = about(Vector3::z_axis(), q + dh.theta[i])
                 * Isometry3::translation(dh.a[i], 0.0, dh.d[i])
                 * about(Vector3::x_axis(), dh.alpha[i]);
-            assert!(pose_error(&link(&dh, i, q), &steps).norm() < 1e-14, "case {case}");
+            assert!(pose_error(&Chain::of(&dh).link(i, q), &steps).norm() < 1e-14, "case {case}");
         }
     }
 
@@ -454,6 +470,34 @@ mod tests {
                 );
             }
         }
+    }
+
+    /// Bit for bit, also near the singularities: of all solutions those of the family.
+    #[test]
+    fn solutions_of_one_family_are_those_among_all_solutions() {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(17);
+        let mut dh = DhParameters::UR5E;
+        for i in 0..6 {
+            dh.a[i] += rng.random_range(-1e-3..1e-3);
+            dh.alpha[i] += rng.random_range(-2e-3..2e-3);
+            dh.theta[i] += rng.random_range(-2e-3..2e-3);
+        }
+        (dh.d[1], dh.d[2]) = (dh.d[1] + 0.7, dh.d[2] - 0.7);
+        let mut found = 0;
+        for case in 0..3000 {
+            let mut q = Joints(std::array::from_fn(|_| rng.random_range(-3.1..3.1)));
+            if case % 3 == 0 {
+                let joint = [2, 4][case % 2];
+                q.0[joint] = rng.random_range(-0.3..0.3);
+            }
+            let pose = forward(&dh, &q);
+            let wanted = posture(&dh, &q);
+            let all = inverse(&dh, &pose).into_iter();
+            let of_family: Vec<Joints> = all.filter(|solution| posture(&dh, solution) == wanted).collect();
+            assert_eq!(inverse_in(&dh, &pose, wanted), of_family, "case {case}: {q:?}");
+            found += of_family.len();
+        }
+        assert!(found > 2800, "{found}");
     }
 
     #[test]

@@ -4,6 +4,7 @@
 //! In and out: metres, radians, standard Denavit-Hartenberg parameters, nominal or calibrated. Pure.
 
 pub mod bodies;
+pub mod chain;
 pub mod kinematics;
 pub mod models;
 pub mod pose;

@@ -79,6 +79,8 @@ pub(crate) struct Thread {
     pub(crate) waits: u32,
     calls: Vec<Activation>,
     stack: Vec<Value>,
+    /// Memory of arguments that is used again.
+    spare: Vec<Option<Value>>,
 }
 
 impl Thread {
@@ -90,14 +92,15 @@ impl Thread {
         function: usize,
         parameters: Vec<Option<Value>>,
     ) -> Thread {
-        let mut thread = Thread { id, parent, pending: None, waits: 0, calls: Vec::new(), stack: Vec::new() };
+        let mut thread = Thread { parent, ..Thread::idle(id) };
         thread.enter(code, function, parameters);
         thread
     }
 
     /// A thread that has nothing to do yet.
     pub(crate) fn idle(id: ThreadId) -> Thread {
-        Thread { id, parent: None, pending: None, waits: 0, calls: Vec::new(), stack: Vec::new() }
+        let (calls, stack, spare) = (Vec::new(), Vec::new(), Vec::new());
+        Thread { id, parent: None, pending: None, waits: 0, calls, stack, spare }
     }
 
     /// Where the instruction that runs comes from.
@@ -171,22 +174,21 @@ impl Thread {
             frames: pending.frames,
             note: &mut pending.note,
         };
-        match host.call(call)? {
-            Reply::Value(value) => {
-                self.stack.push(value);
-                Ok(true)
-            }
+        let value = match host.call(call)? {
+            Reply::Value(value) => value,
             Reply::Waited(value) => {
                 self.waits += 1;
-                self.stack.push(value);
-                Ok(true)
+                value
             }
             Reply::Wait => {
                 pending.frames += 1;
                 self.pending = Some(pending);
-                Ok(false)
+                return Ok(false);
             }
-        }
+        };
+        self.stack.push(value);
+        self.keep(pending.arguments);
+        Ok(true)
     }
 
     fn execute(
@@ -250,7 +252,9 @@ impl Thread {
     /// Leaves a function; the thread is over with its last one.
     #[inline]
     fn leave(&mut self) -> Option<Event> {
-        self.calls.pop();
+        if let Some(call) = self.calls.pop() {
+            self.keep(call.locals);
+        }
         self.calls.is_empty().then_some(Event::Finished)
     }
 
@@ -363,6 +367,7 @@ impl Thread {
         match builtin.name {
             "sync" => {
                 self.stack.push(Value::Nothing);
+                self.keep(pending.arguments);
                 return Ok(Some(Event::Sleep(1)));
             }
             "sleep" => {
@@ -374,6 +379,7 @@ impl Thread {
         }
         if let Some(result) = library::call(&call, &mut shared.random) {
             self.stack.push(bounded(result?)?);
+            self.keep(pending.arguments);
             return Ok(None);
         }
         self.pending = Some(pending);
@@ -407,11 +413,19 @@ impl Thread {
     /// Pops one value for each slot; at least `count` places.
     fn take_arguments(&mut self, slots: &[usize], count: usize) -> Vec<Option<Value>> {
         let places = slots.iter().map(|slot| slot + 1).max().unwrap_or(0).max(count);
-        let mut arguments = vec![None; places];
-        for (value, slot) in self.pop_many(slots.len()).into_iter().zip(slots) {
+        let mut arguments = std::mem::take(&mut self.spare);
+        arguments.resize(places, None);
+        let first = self.stack.len().saturating_sub(slots.len());
+        for (value, slot) in self.stack.drain(first..).zip(slots) {
             arguments[*slot] = Some(value);
         }
         arguments
+    }
+
+    /// Keeps the memory of arguments that are not needed any more.
+    fn keep(&mut self, mut arguments: Vec<Option<Value>>) {
+        arguments.clear();
+        self.spare = arguments;
     }
 
     fn pop(&mut self) -> Value {

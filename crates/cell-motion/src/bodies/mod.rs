@@ -9,13 +9,15 @@
 //! calibrated flange.
 
 pub mod cell;
+mod chains;
 pub mod shape;
 pub mod sweep;
 #[cfg(test)]
 mod tests;
 
 use crate::bodies::cell::{CellBodies, NamedShape};
-use crate::bodies::shape::{Shape, apart, placed};
+use crate::bodies::chains::Chains;
+use crate::bodies::shape::{Shape, apart};
 use cell_values::units::Joints;
 use nalgebra::Isometry3;
 use parry3d_f64::math::Pose;
@@ -299,14 +301,11 @@ impl Bodies {
 
     /// Poses of the frames 0 to 6 and of the flange, in the base frame.
     pub fn frames(&self, q: &Joints) -> [Pose; 8] {
-        let nominal = ur_arm::kinematics::link_frames(&self.nominal, q);
-        let calibrated = self.dh != self.nominal;
-        let flange = if calibrated { ur_arm::kinematics::forward(&self.dh, q) } else { nominal[5] };
-        std::array::from_fn(|i| match i {
-            0 => Pose::IDENTITY,
-            TOOL_FRAME => placed(&flange),
-            i => placed(&nominal[i - 1]),
-        })
+        self.chains().frames(q)
+    }
+
+    fn chains(&self) -> Chains {
+        Chains::new(&self.nominal, &self.dh)
     }
 }
 

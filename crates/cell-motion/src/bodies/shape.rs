@@ -7,7 +7,8 @@
 use glamx::DPose3;
 use nalgebra::Isometry3;
 use parry3d_f64::math::{Pose, Vector};
-use parry3d_f64::query::details::{distance_segment_segment, distance_support_map_support_map};
+use parry3d_f64::query::details::distance_segment_segment;
+use parry3d_f64::query::gjk::{CsoPoint, GJKResult, VoronoiSimplex, closest_points};
 use parry3d_f64::shape::{Segment, SupportMap};
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
@@ -209,18 +210,43 @@ pub fn surely_apart(a: &Shape, a_middle: Vector, b: &Shape, b_middle: Vector) ->
 
 /// Distance of two shapes, m; where their cores meet, minus both radii and a hair.
 pub fn apart(a: &Shape, a_at: &Pose, b: &Shape, b_at: &Pose) -> f64 {
+    apart_from(a, a_at, b, b_at, &mut Vector::ZERO)
+}
+
+/// The same with the direction, in the frame of `a`, in which `b` was found last: from there the search takes
+/// fewer steps. Zero where it is not known.
+pub fn apart_from(a: &Shape, a_at: &Pose, b: &Shape, b_at: &Pose, towards: &mut Vector) -> f64 {
     let between = a_at.inv_mul(b_at);
+    if *towards == Vector::ZERO {
+        *towards = between * b.centre - a.centre;
+    }
     let cores = match (&a.core, &b.core) {
         (Core::Segment(one), Core::Segment(other)) => distance_segment_segment(&between, one, other),
-        (Core::Segment(one), Core::Hull(other)) => distance_support_map_support_map(&between, one, other),
-        (Core::Hull(one), Core::Segment(other)) => distance_support_map_support_map(&between, one, other),
-        (Core::Hull(one), Core::Hull(other)) => distance_support_map_support_map(&between, one, other),
+        (Core::Segment(one), Core::Hull(other)) => nearest(&between, one, other, towards),
+        (Core::Hull(one), Core::Segment(other)) => nearest(&between, one, other, towards),
+        (Core::Hull(one), Core::Hull(other)) => nearest(&between, one, other, towards),
         (Core::HalfSpace { normal, offset }, _) => over(*normal, *offset, b, &between),
         (_, Core::HalfSpace { normal, offset }) => over(*normal, *offset, a, &between.inverse()),
     };
     // How deep cores lie in each other is not computed: that they meet is enough.
     let cores = if cores > TOUCHING_M { cores } else { cores.min(-TOUCHING_M) };
     cores - a.radius - b.radius
+}
+
+/// Distance of two cores, m, 0 where they meet, by the algorithm of Gilbert, Johnson and Keerthi.
+fn nearest(between: &Pose, one: &impl SupportMap, other: &impl SupportMap, towards: &mut Vector) -> f64 {
+    let first = towards.try_normalize().unwrap_or(Vector::X);
+    let mut simplex = VoronoiSimplex::new();
+    simplex.reset(CsoPoint::from_shapes(between, one, other, first));
+    match closest_points(between, one, other, f64::MAX, true, &mut simplex) {
+        GJKResult::ClosestPoints(from, to, _) => {
+            *towards = to - from;
+            towards.length()
+        }
+        // Without a bound on the distance the search never ends early; where it does not converge, the two are
+        // taken to meet.
+        GJKResult::Intersection | GJKResult::Proximity(_) | GJKResult::NoIntersection(_) => 0.0,
+    }
 }
 
 /// True where a distance that [`apart`] has found says how deep the two overlap: not where their cores meet,

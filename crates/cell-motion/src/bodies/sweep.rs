@@ -9,8 +9,8 @@
 //! Mirtich, "Impulse-based dynamic simulation of rigid body systems", 1996, section 2.3). What is left of
 //! its distance is carried over to the next piece.
 
-use crate::bodies::shape::{apart, depth_is_known, surely_apart};
-use crate::bodies::{Bodies, Body, Other, Pair, Part, Room, against};
+use crate::bodies::shape::{apart_from, depth_is_known, surely_apart};
+use crate::bodies::{Bodies, Body, Chains, Other, Pair, Part, Room, against};
 use cell_values::units::Joints;
 use parry3d_f64::math::{Pose, Vector};
 
@@ -32,6 +32,7 @@ struct Due {
 }
 
 /// Where the arm is: its frames, and the middles of all that moves with them, in the base frame.
+#[derive(Default)]
 struct Place {
     frames: [Pose; 8],
     middles: Vec<Vector>,
@@ -94,6 +95,13 @@ pub struct Sweep<'a> {
     levers_of: Vec<usize>,
     /// Metres that two bodies with these levers move against each other at most on the present piece.
     travel: Vec<f64>,
+    chains: Chains,
+    /// For each pair the direction in which the one body was seen from the other last, in that one's frame.
+    towards: Vec<Vector>,
+    /// Memory that is used again: the pairs of the present piece that are due now and later, and a place.
+    due: Vec<Due>,
+    later: Vec<Due>,
+    place: Place,
 }
 
 impl<'a> Sweep<'a> {
@@ -109,6 +117,11 @@ impl<'a> Sweep<'a> {
             levers: Vec::new(),
             levers_of: Vec::with_capacity(pairs.len()),
             travel: Vec::new(),
+            chains: bodies.chains(),
+            towards: vec![Vector::ZERO; pairs.len()],
+            due: Vec::new(),
+            later: Vec::new(),
+            place: Place::default(),
             pairs,
         };
         for pair in &sweep.pairs {
@@ -207,13 +220,14 @@ impl<'a> Sweep<'a> {
         let turn: [f64; 6] = std::array::from_fn(|j| (to.0[j] - from.0[j]).abs() + 4.0 * bulge[j]);
         self.travel.clear();
         self.travel.extend(self.levers.iter().map(|levers| travel(levers, &turn)));
-        let mut due = self.due(zone);
+        let (mut due, mut later) = (std::mem::take(&mut self.due), std::mem::take(&mut self.later));
+        let mut place = std::mem::take(&mut self.place);
+        self.find_due(zone, &mut due);
         while let Some(share) = due.iter().map(|pair| pair.share).min_by(f64::total_cmp) {
             let q = from.lerp(to, share);
-            let place = self.place_at(&q);
+            self.go_to(&q, &mut place);
             // Those that are due soon are measured at the same place, once.
-            let mut later = Vec::new();
-            for pair in due {
+            for pair in due.drain(..) {
                 if pair.share > share + TOGETHER {
                     later.push(pair);
                     continue;
@@ -223,8 +237,9 @@ impl<'a> Sweep<'a> {
                 let share = share.map_err(|()| self.meeting(index, &place, q))?;
                 later.extend(share.map(|share| Due { share, index }));
             }
-            due = later;
+            std::mem::swap(&mut due, &mut later);
         }
+        (self.due, self.later, self.place) = (due, later, place);
         for (left, levers) in self.left.iter_mut().zip(&self.levers_of) {
             // `left` counts from the start of the piece; what is used up is measured at the next one's.
             *left = (*left - self.travel[*levers]).max(0.0);
@@ -235,7 +250,7 @@ impl<'a> Sweep<'a> {
     /// Measures one pair at a share of the piece: the share at which it is due again, if on this piece.
     /// An error where it is too near.
     fn measure(&mut self, index: usize, place: &Place, share: f64, bulge: &Bulge) -> Result<Option<f64>, ()> {
-        let distance = self.distance(place, index, false);
+        let distance = self.distance_again(place, index);
         let (pair, travel) = (&mut self.pairs[index], self.travel[self.levers_of[index]]);
         let aside =
             if share > 0.0 { 4.0 * share * (1.0 - share) * self::travel(&pair.levers, bulge) } else { 0.0 };
@@ -254,8 +269,8 @@ impl<'a> Sweep<'a> {
     }
 
     /// The pairs that have to be measured on the present piece, and where first.
-    fn due(&mut self, zone: Zone) -> Vec<Due> {
-        let mut due = Vec::new();
+    fn find_due(&mut self, zone: Zone, due: &mut Vec<Due>) {
+        due.clear();
         let pairs = self.left.iter_mut().zip(&self.watched[zone as usize]).zip(&self.levers_of);
         for (index, ((left, watched), levers)) in pairs.enumerate() {
             if !watched {
@@ -271,7 +286,6 @@ impl<'a> Sweep<'a> {
             let share = if *left > 0.0 && travel.is_finite() { *left / travel } else { 0.0 };
             due.push(Due { share, index });
         }
-        due
     }
 
     fn watches(&self, pair: &Pair, zone: Zone) -> bool {
@@ -303,14 +317,33 @@ impl<'a> Sweep<'a> {
     }
 
     fn place_at(&self, q: &Joints) -> Place {
-        let frames = self.bodies.frames(q);
+        let mut place = Place::default();
+        self.go_to(q, &mut place);
+        place
+    }
+
+    fn go_to(&self, q: &Joints, place: &mut Place) {
+        let frames = self.chains.frames(q);
         let moving = self.bodies.moving.iter().chain(&self.room.load);
-        let middles = moving.map(|body| frames[body.frame] * body.shape.middle()).collect();
-        Place { frames, middles }
+        place.middles.clear();
+        place.middles.extend(moving.map(|body| frames[body.frame] * body.shape.middle()));
+        place.frames = frames;
     }
 
     /// Distance of a pair: exact where it is near or `exact` is set, else one that it surely has.
     fn distance(&self, place: &Place, index: usize, exact: bool) -> f64 {
+        self.distance_from(place, index, exact, &mut Vector::ZERO)
+    }
+
+    /// The same on a way, where the two are about where they were.
+    fn distance_again(&mut self, place: &Place, index: usize) -> f64 {
+        let mut towards = self.towards[index];
+        let distance = self.distance_from(place, index, false, &mut towards);
+        self.towards[index] = towards;
+        distance
+    }
+
+    fn distance_from(&self, place: &Place, index: usize, exact: bool, towards: &mut Vector) -> f64 {
         let pair = &self.pairs[index];
         let (a, b) = (self.moving(pair.a), self.other(pair.b));
         // What does not move is in the base frame.
@@ -319,7 +352,7 @@ impl<'a> Sweep<'a> {
         if sure - pair.margin > FAR_M && !exact {
             return sure;
         }
-        apart(&a.shape, &place.frames[a.frame], &b.shape, &place.frames[b.frame])
+        apart_from(&a.shape, &place.frames[a.frame], &b.shape, &place.frames[b.frame], towards)
     }
 
     fn meeting(&self, index: usize, place: &Place, at: Joints) -> Meeting {

@@ -27,6 +27,9 @@ const STEADY_FRAMES: u64 = 250;
 
 impl Host for Core {
     fn call(&mut self, mut call: Call<'_>) -> Result<Reply, String> {
+        if let Some(value) = io_functions::register_call(self, &call) {
+            return value.map(Reply::Value);
+        }
         if self.secondary && motion_functions::takes_the_arm(call.name) {
             return Err(format!("{}: a secondary program must not move the arm", call.name));
         }

@@ -7,13 +7,12 @@ use crate::controller::core::Core;
 use urscript::host::Call;
 use urscript::value::Value;
 
-/// Carries out a built-in of this file; `None` if it is none of them.
-pub fn call(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
-    let address = || -> Result<usize, String> {
-        let number = call.required(0)?.integer()?;
-        usize::try_from(number).map_err(|_| format!("{}: there is no number {number}", call.name))
-    };
-    let of = |length: usize| address().and_then(|n| within(call, n, length));
+/// Carries out a built-in on registers; `None` if it is none of them. Programs spend most calls on these.
+pub fn register_call(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
+    if !call.name.ends_with("_register") {
+        return None;
+    }
+    let of = |length: usize| number(call, length);
     let registers = &mut core.registers;
     Some(match call.name {
         "read_input_integer_register" => of(48).map(|n| Value::Int(registers.input_ints[n])),
@@ -34,6 +33,22 @@ pub fn call(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
             registers.output_bits[n] = call.required(1)?.truth()?;
             Ok(Value::Nothing)
         }),
+        _ => return None,
+    })
+}
+
+/// The number in the first argument, below `length`.
+fn number(call: &Call<'_>, length: usize) -> Result<usize, String> {
+    let number = call.required(0)?.integer()?;
+    let found = usize::try_from(number).ok().filter(|number| *number < length);
+    found.ok_or_else(|| format!("{}: there is no number {number}", call.name))
+}
+
+/// Carries out another built-in of this file; `None` if it is none of them.
+pub fn call(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
+    let of = |length: usize| number(call, length);
+    let registers = &mut core.registers;
+    Some(match call.name {
         "set_tool_voltage" => call.required(0).and_then(Value::integer).and_then(|voltage| match voltage {
             0 | 12 | 24 => {
                 registers.tool_voltage = voltage;
@@ -43,10 +58,6 @@ pub fn call(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
         }),
         _ => return digital(core, call, &of).or_else(|| analog(core, call, &of)),
     })
-}
-
-fn within(call: &Call<'_>, number: usize, length: usize) -> Result<usize, String> {
-    if number < length { Ok(number) } else { Err(format!("{}: there is no number {number}", call.name)) }
 }
 
 type Number<'a> = &'a dyn Fn(usize) -> Result<usize, String>;

@@ -26,7 +26,8 @@ pub mod tool_path;
 
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector6};
-use ur_arm::kinematics::{DhParameters, forward, jacobian, pose_error};
+use ur_arm::chain::Chain;
+use ur_arm::kinematics::{DhParameters, forward, jacobian_at, pose_error};
 
 /// Length of a controller frame, s.
 pub const FRAME_SECONDS: f64 = 0.002;
@@ -94,19 +95,21 @@ impl Arm {
     /// a frame's travel away. `None` at a singularity or out of reach.
     pub fn follow(&self, base_from_tcp: &Isometry3<f64>, near: &Joints) -> Option<Joints> {
         let target = base_from_tcp * self.flange_from_tcp.inverse();
+        let chain = Chain::of(&self.dh);
         let mut q = *near;
         for _ in 0..8 {
-            let error = pose_error(&forward(&self.dh, &q), &target);
+            let frames = chain.frames(&q);
+            let error = pose_error(&frames[5], &target);
             if error.norm() < 1e-10 {
                 return Some(q);
             }
-            let step = jacobian(&self.dh, &q).lu().solve(&error)?;
+            let step = jacobian_at(&frames).lu().solve(&error)?;
             if !step.iter().all(|value| value.abs() < 0.5) {
                 return None;
             }
             q.0.iter_mut().zip(step.iter()).for_each(|(value, step)| *value += step);
         }
-        (pose_error(&forward(&self.dh, &q), &target).norm() < 1e-7).then_some(q)
+        (pose_error(&chain.forward(&q), &target).norm() < 1e-7).then_some(q)
     }
 
     /// The joint that is out of range or not a number, if there is one.

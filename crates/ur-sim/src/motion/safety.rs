@@ -125,17 +125,12 @@ fn tool_against_arm(
 /// The deepest overlap of two links beyond the tolerance.
 fn with_itself(model: &str, frames: &[Isometry3<f64>; 6]) -> Option<Intrusion> {
     let bodies = capsules(model)?;
-    let frame = |body: usize| body.checked_sub(1).map_or(Isometry3::identity(), |link| frames[link]);
-    let placed: [Vec<[Point3<f64>; 2]>; 7] = std::array::from_fn(|body| {
-        let place = frame(body);
-        bodies[body]
-            .iter()
-            .map(|capsule| [capsule.a, capsule.b].map(|end| place * Point3::from(end)))
-            .collect()
-    });
+    let place = |body: usize| body.checked_sub(1).map_or(Isometry3::identity(), |link| frames[link]);
+    let balls: [Ball; 7] = std::array::from_fn(|body| Ball::round(bodies[body], &place(body)));
     let pairs = (0..7).flat_map(|a| (a + 1..7).map(move |b| (a, b)));
-    let overlaps = pairs.filter(|pair| !HARMLESS_PAIRS.contains(pair)).map(|(a, b)| {
-        let depth = deepest((bodies[a], &placed[a]), (bodies[b], &placed[b])) - TOLERANCE_M;
+    let near = pairs.filter(|(a, b)| !HARMLESS_PAIRS.contains(&(*a, *b)) && balls[*a].meets(&balls[*b]));
+    let overlaps = near.map(|(a, b)| {
+        let depth = deepest((bodies[a], &place(a)), (bodies[b], &place(b))) - TOLERANCE_M;
         (depth, a, b)
     });
     let (depth, a, b) = overlaps.max_by(|x, y| x.0.total_cmp(&y.0)).filter(|(depth, ..)| *depth > 0.0)?;
@@ -143,13 +138,39 @@ fn with_itself(model: &str, frames: &[Isometry3<f64>; 6]) -> Option<Intrusion> {
     Some(Intrusion { depth, reason, joint: Some(b - 1) })
 }
 
-type Placed<'a> = (&'a [Capsule], &'a [[Point3<f64>; 2]]);
+/// A ball round some capsules: bodies whose balls are apart are apart.
+struct Ball {
+    middle: Point3<f64>,
+    radius: f64,
+}
+
+impl Ball {
+    fn round(capsules: &[Capsule], place: &Isometry3<f64>) -> Ball {
+        let ends = || capsules.iter().flat_map(|capsule| [capsule.a, capsule.b]).map(Vector3::from);
+        let middle = ends().sum::<Vector3<f64>>() / (2 * capsules.len()).max(1) as f64;
+        let farthest = |capsule: &Capsule| {
+            let to = |end: [f64; 3]| (Vector3::from(end) - middle).norm();
+            to(capsule.a).max(to(capsule.b)) + capsule.radius
+        };
+        let radius = capsules.iter().map(farthest).fold(0.0, f64::max);
+        Ball { middle: place * Point3::from(middle), radius }
+    }
+
+    fn meets(&self, other: &Ball) -> bool {
+        (self.middle - other.middle).norm() < self.radius + other.radius
+    }
+}
+
+type Placed<'a> = (&'a [Capsule], &'a Isometry3<f64>);
 
 fn deepest((shapes, a): Placed<'_>, (others, b): Placed<'_>) -> f64 {
+    let placed =
+        |capsule: &Capsule, at: &Isometry3<f64>| [capsule.a, capsule.b].map(|end| at * Point3::from(end));
     let mut deepest = f64::NEG_INFINITY;
-    for (shape, ends) in shapes.iter().zip(a) {
-        for (other, other_ends) in others.iter().zip(b) {
-            deepest = deepest.max(shape.radius + other.radius - distance(ends, other_ends));
+    for shape in shapes {
+        let ends = placed(shape, a);
+        for other in others {
+            deepest = deepest.max(shape.radius + other.radius - distance(&ends, &placed(other, b)));
         }
     }
     deepest

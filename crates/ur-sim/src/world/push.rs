@@ -14,7 +14,7 @@ use crate::world::placing::TOUCH_M;
 use crate::world::section::Section;
 use crate::world::{Body, BodyState, World};
 use cell_values::units::GRAVITY;
-use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use rearrange::geometry::pose::Pose2;
 use std::sync::Arc;
 
@@ -24,6 +24,8 @@ const FRICTION: f64 = 0.4;
 const STIFFNESS_N_PER_M: f64 = 5000.0;
 /// Rounds in which an object is moved out of its pusher; turning does not part them at once.
 const ROUNDS: usize = 8;
+/// Room over what an object can reach, m, for rounding.
+const SURELY_M: f64 = 1e-6;
 /// Objects one push may set in motion.
 const MAX_CHAIN: usize = 32;
 
@@ -53,6 +55,11 @@ impl Pusher {
 impl World {
     /// Moves what the tool has run into from the side, and notes what it touches from above.
     pub(super) fn push_aside(&mut self) {
+        if self.is_clear_above() {
+            self.from_above.clear();
+            self.pushing = Vector3::zeros();
+            return;
+        }
         let mut pushing = Vector3::zeros();
         let mut from_above = Vec::new();
         // What stands on others goes with them before it is looked at itself.
@@ -76,6 +83,29 @@ impl World {
         }
         self.from_above = from_above;
         self.pushing = pushing;
+    }
+
+    /// Nothing of the arm is as low as the highest place that an object on the table can reach: most of the
+    /// time, and soon found out.
+    fn is_clear_above(&self) -> bool {
+        let Some(tool) = &self.tool else { return false };
+        if self.fingers.is_some() {
+            return false;
+        }
+        let height = |x: f64, y: f64, z: f64| (tool.table_from_tool * Point3::new(x, y, z)).z;
+        let cups = self.gripper.cups.iter().map(|cup| height(cup.x_m, cup.y_m, 0.0));
+        let housing = height(0.0, 0.0, -self.gripper.body_above_lips_m);
+        let held = self.bodies.iter().filter_map(|body| {
+            let BodyState::Held { tool_from_object, .. } = &body.state else { return None };
+            let origin = Point3::from(tool_from_object.translation.vector);
+            Some((tool.table_from_tool * origin).z - body.section.bounding_radius_m())
+        });
+        let lowest = cups.chain(held).fold(housing, f64::min);
+        let highest = |body: &Body| {
+            body.table_from_object.translation.z + body.height_m + body.section.bounding_radius_m()
+        };
+        let resting = self.bodies.iter().filter(|body| body.is_resting());
+        lowest > resting.map(highest).fold(0.0, f64::max) + SURELY_M
     }
 
     /// Force on the tool from what it touches, N, in the table frame. What hangs on it is the payload's

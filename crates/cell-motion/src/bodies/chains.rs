@@ -1,0 +1,36 @@
+//! The arm's links and its flange as chains, for many positions of one arm.
+//!
+//! In: nominal and calibrated kinematics, joints. Out: the poses of the frames that bodies move with. Pure.
+
+use crate::bodies::TOOL_FRAME;
+use crate::bodies::shape::placed;
+use cell_values::units::Joints;
+use parry3d_f64::math::Pose;
+use ur_arm::chain::Chain;
+use ur_arm::kinematics::DhParameters;
+
+/// The nominal arm, and the calibrated one.
+pub(super) struct Chains {
+    nominal: Chain,
+    /// Where it differs.
+    calibrated: Option<Chain>,
+}
+
+impl Chains {
+    /// Links follow the nominal arm, the flange the calibrated one.
+    pub fn new(nominal: &DhParameters, calibrated: &DhParameters) -> Chains {
+        let differs = calibrated != nominal;
+        Chains { nominal: Chain::of(nominal), calibrated: differs.then(|| Chain::of(calibrated)) }
+    }
+
+    /// Poses of the frames 0 to 6 and of the flange, in the base frame.
+    pub fn frames(&self, q: &Joints) -> [Pose; 8] {
+        let nominal = self.nominal.frames(q);
+        let flange = self.calibrated.as_ref().map_or(nominal[5], |chain| chain.forward(q));
+        std::array::from_fn(|i| match i {
+            0 => Pose::IDENTITY,
+            TOOL_FRAME => placed(&flange),
+            i => placed(&nominal[i - 1]),
+        })
+    }
+}
