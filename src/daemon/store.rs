@@ -54,6 +54,9 @@ pub trait Keeper: Send + 'static {
 
     /// Publishes the cell's status; called when nothing else is to be done.
     fn status(&mut self, status: &Status);
+
+    /// Everything is written; celld ends.
+    fn close(&mut self) {}
 }
 
 /// How often job files are looked after, in the cell's time.
@@ -220,6 +223,7 @@ impl Keeping {
                 }
                 Err(RecvTimeoutError::Disconnected) => {
                     status.iter().for_each(|status| self.keeper.status(status));
+                    self.keeper.close();
                     self.beat.rests();
                     return;
                 }

@@ -219,7 +219,7 @@ fn candidates(
             let mut near = *start;
             near.0[5] += start_turn;
             let Some(hover) = model.first_unwound(&hovers, &near) else { continue };
-            let Some(candidate) = corners.from_over(model, &hover) else { continue };
+            let Some(candidate) = corners.candidate(model, &hover) else { continue };
             let way =
                 start.max_difference(&hover) + candidate.over_pick.max_difference(&candidate.over_place);
             let cost = way + wound(&hover) + wound(&candidate.over_place);
@@ -238,7 +238,7 @@ pub(crate) fn from_over(
     task: &PickNPlace,
     cycle: &CycleParameters,
 ) -> Option<Candidate> {
-    Corners::new(model, yaw, task, cycle)?.from_over(model, hover)
+    Corners::new(model, yaw, task, cycle)?.candidate(model, hover)
 }
 
 /// Joint solutions at the corners of the move for one yaw, without full turns.
@@ -270,7 +270,7 @@ impl Corners {
     }
 
     /// Each corner as near to the one before as full turns allow.
-    fn from_over(&self, model: &ArmModel, hover: &Joints) -> Option<Candidate> {
+    fn candidate(&self, model: &ArmModel, hover: &Joints) -> Option<Candidate> {
         let pick = model.first_unwound(&self.pick, hover)?;
         let over_pick = model.first_unwound(&self.over_pick, &pick)?;
         let over_place = model.first_unwound(&self.over_place, &over_pick)?;

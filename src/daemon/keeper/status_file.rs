@@ -7,17 +7,29 @@ use super::StateKeeper;
 use crate::config::sessions::gripper_address;
 use crate::jobs::status;
 use cell_edge::clock::unix_now_s;
+use cell_edge::files::remove;
 use cell_machine::intake::HELD_UP_AFTER;
 use cell_machine::supervisor::status::{Device, DeviceNote, Doing, Status};
 use cell_values::time::Duration;
 
 impl StateKeeper {
     /// Writes the status; a disk that does not take it is logged.
-    pub(super) fn write_status(&self, status: &Status) {
+    pub(super) fn write_status(&mut self, status: &Status) {
         let status = self.status_file(status);
         (self.publish)(&status);
-        if let Err(error) = status.write(&self.state.status()) {
+        let written = status.write(&self.state.status());
+        self.status_is_old = written.is_err();
+        if let Err(error) = written {
             tracing::warn!(%error, "the status file could not be written");
+        }
+    }
+
+    /// celld ends: a status of before, which may say that the cell is armed, must not stay behind it.
+    pub(super) fn leave_no_old_status(&self) {
+        if self.status_is_old
+            && let Err(error) = remove(&self.state.status())
+        {
+            tracing::error!(%error, "an old status stays behind");
         }
     }
 

@@ -210,7 +210,8 @@ pub fn surely_apart(a: &Shape, a_middle: Vector, b: &Shape, b_middle: Vector) ->
 
 /// Distance of two shapes, m; where their cores meet, minus both radii and a hair.
 pub fn apart(a: &Shape, a_at: &Pose, b: &Shape, b_at: &Pose) -> f64 {
-    apart_from(a, a_at, b, b_at, &mut Vector::ZERO)
+    let mut direction = Vector::ZERO;
+    apart_from(a, a_at, b, b_at, &mut direction)
 }
 
 /// The same with the direction, in the frame of `a`, in which `b` was found last: from there the search takes

@@ -332,7 +332,8 @@ impl<'a> Sweep<'a> {
 
     /// Distance of a pair: exact where it is near or `exact` is set, else one that it surely has.
     fn distance(&self, place: &Place, index: usize, exact: bool) -> f64 {
-        self.distance_from(place, index, exact, &mut Vector::ZERO)
+        let mut direction = Vector::ZERO;
+        self.distance_from(place, index, exact, &mut direction)
     }
 
     /// The same on a way, where the two are about where they were.
