@@ -5,7 +5,7 @@ use crate::cell::{CELLD, LOG, PATIENCE, Running, wait_until};
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
-/// The daemon is stopped for a while in the middle of a carry: disarmed afterwards, still there, and says so.
+/// The daemon is stopped in the middle of a carry: disarmed afterwards, still there, and says so.
 #[test]
 fn cell_that_was_held_up_is_disarmed_stays_and_says_so() {
     let mut cell = Cell::start("127.7.8.4", &[]);

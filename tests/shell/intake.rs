@@ -34,7 +34,7 @@ fn cell_is_aborted_before_a_thousand_other_orders() {
     let cell = Cell::start("127.7.8.2", &[]);
     cell.carry();
     let daemon = cell.status()["daemon"].as_str().expect("a name").to_string();
-    // Each asks for nothing that moves the arm, and no client waits for it.
+    // None of them moves the arm, and no client waits for them.
     let text = format!(r#"{{"daemon": "{daemon}", "boot_s": 1.0, "command": {{"do": "resume"}}}}"#);
     let folder = cell.state().join("commands");
     cell.signal("STOP");

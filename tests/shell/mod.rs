@@ -20,8 +20,8 @@ use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-/// Where the measured joints are in a message of the real-time interface (port 30003), bytes: size, time, and
-/// five times six numbers before them.
+/// Where the measured joints are in a message of the real-time interface (port 30003), bytes: size, time,
+/// and five times six numbers before them.
 const Q_ACTUAL: usize = 4 + 8 + 5 * 6 * 8;
 
 /// A simulated robot and a daemon that work at a real robot's pace.

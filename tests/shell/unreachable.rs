@@ -22,7 +22,7 @@ fn cell_stops_when_its_state_folder_is_gone_and_takes_orders_when_it_is_back() {
     assert!(!cell.armed());
 }
 
-/// The journal's file is removed: no further pick-n-place, no "done", and the daemon stays with what it holds.
+/// The journal's file is removed: no further pick-n-place, no "done", and the daemon stays.
 #[test]
 fn cell_stops_when_its_journal_is_removed() {
     let mut cell = Cell::start("127.7.8.8", &[]);

@@ -8,7 +8,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// What `work` returns.
 ///
-/// What it shares with its caller may be half changed after a panic: the caller drops that, or can tell.
+/// What it shares with its caller may be half changed after a panic: the caller drops that, or can judge it.
 ///
 /// # Errors
 /// The words of its panic.

@@ -10,6 +10,7 @@ pub mod old;
 pub mod places;
 pub(in crate::jobs) mod rows;
 mod schema;
+mod seen;
 mod steps;
 #[cfg(test)]
 mod tests;
@@ -19,7 +20,7 @@ use crate::jobs::history::JobFilter;
 use crate::jobs::journal::claim::free_id;
 use crate::jobs::journal::rows::{JobRow, encode, interrupted, job_columns, job_row, source_text, storable};
 use crate::jobs::journal::schema::{MIGRATIONS, SCHEMA, SCHEMA_VERSION};
-use crate::jobs::journal::watch::Seen;
+use crate::jobs::journal::seen::Seen;
 use crate::jobs::record::{GoalPose, JobRecord, JobResult, JobState, PlanRecord, StepRecord, moves_made};
 use rusqlite::{Connection, ErrorCode, OpenFlags, OptionalExtension, Transaction, params};
 use std::path::{Path, PathBuf};

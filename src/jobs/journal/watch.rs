@@ -5,9 +5,9 @@
 //! next celld will find. A check of all pages takes as long as reading them, so it runs at the start, and
 //! later on a connection of its own.
 
+use crate::jobs::journal::seen::Seen;
 use crate::jobs::journal::{Journal, JournalError};
 use rusqlite::{Connection, OpenFlags};
-use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 /// What has happened to the journal's file.
@@ -37,23 +37,6 @@ pub enum JournalFault {
         /// SQLite's first complaint.
         found: String,
     },
-}
-
-/// The file as it was at the last look.
-#[derive(Debug)]
-pub(super) struct Seen {
-    identity: (u64, u64),
-    length: u64,
-    data_version: i64,
-}
-
-impl Seen {
-    /// The file and the connection as they are now.
-    pub(super) fn of(path: &Path, database: &Connection) -> Option<Seen> {
-        let metadata = path.metadata().ok()?;
-        let data_version = database.query_row("PRAGMA data_version", [], |row| row.get(0)).ok()?;
-        Some(Seen { identity: (metadata.dev(), metadata.ino()), length: metadata.len(), data_version })
-    }
 }
 
 impl Journal {

@@ -2,12 +2,14 @@
 //!
 //! In: nominal and calibrated kinematics, joints. Out: the poses of the frames that bodies move with. Pure.
 
-use crate::bodies::TOOL_FRAME;
 use crate::bodies::shape::placed;
 use cell_values::units::Joints;
 use parry3d_f64::math::Pose;
 use ur_arm::chain::Chain;
 use ur_arm::kinematics::DhParameters;
+
+/// Frame of what hangs on the flange, after the arm's frames 0 (base) to 6.
+pub const TOOL_FRAME: usize = 7;
 
 /// The nominal arm, and the calibrated one.
 pub(super) struct Chains {

@@ -16,7 +16,7 @@ pub mod sweep;
 mod tests;
 
 use crate::bodies::cell::{CellBodies, NamedShape};
-use crate::bodies::chains::Chains;
+use crate::bodies::chains::{Chains, TOOL_FRAME};
 use crate::bodies::shape::{Shape, apart};
 use cell_values::units::Joints;
 use nalgebra::Isometry3;
@@ -46,9 +46,6 @@ const TABLE_DEPTH_M: f64 = 1.0;
 
 /// Positions of joint 6 at which a body on the flange is compared with wrist 2.
 const RING: usize = 72;
-
-/// Frame of what hangs on the flange, after the arm's frames 0 (base) to 6.
-pub const TOOL_FRAME: usize = 7;
 
 /// What a body is: which pairs are checked, and when.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]

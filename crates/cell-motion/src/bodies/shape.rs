@@ -214,8 +214,8 @@ pub fn apart(a: &Shape, a_at: &Pose, b: &Shape, b_at: &Pose) -> f64 {
     apart_from(a, a_at, b, b_at, &mut direction)
 }
 
-/// The same with the direction, in the frame of `a`, in which `b` was found last: from there the search takes
-/// fewer steps. Zero where it is not known.
+/// The same with the direction, in the frame of `a`, in which `b` was found last: from there the search
+/// takes fewer steps. Zero where it is not known.
 pub fn apart_from(a: &Shape, a_at: &Pose, b: &Shape, b_at: &Pose, towards: &mut Vector) -> f64 {
     let between = a_at.inv_mul(b_at);
     if *towards == Vector::ZERO {
@@ -244,8 +244,8 @@ fn nearest(between: &Pose, one: &impl SupportMap, other: &impl SupportMap, towar
             *towards = to - from;
             towards.length()
         }
-        // Without a bound on the distance the search never ends early; where it does not converge, the two are
-        // taken to meet.
+        // Without a bound on the distance the search never ends early; where it does not converge, the two
+        // are taken to meet.
         GJKResult::Intersection | GJKResult::Proximity(_) | GJKResult::NoIntersection(_) => 0.0,
     }
 }

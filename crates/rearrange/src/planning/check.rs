@@ -180,7 +180,7 @@ impl<'p> Table<'p> {
         self.problem.overlap_tolerance.max(0.0) + TOUCH_M
     }
 
-    /// Asks before the next object whether the caller still wants to know.
+    /// Calls the caller's stop function before the next object.
     fn go_on(&self, watch: &mut Watch) -> Result<(), PlanFault> {
         if watch.go_on(self.ticks) { Ok(()) } else { Err(PlanFault::Unfinished) }
     }

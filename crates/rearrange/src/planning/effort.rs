@@ -2,7 +2,7 @@
 //!
 //! In: a work limit and a stop function (the caller's clock, Ctrl-C). Out: whether to go on. A step is one
 //! sampled pose or one node of a graph search. The limit on steps gives the same result on every run. The
-//! stop function promises nothing of the kind: it is asked by the amount of work since the last time, in
+//! stop function promises nothing of the kind: it is called by the amount of work since the last time, in
 //! ticks, so that a table of a thousand objects is stopped as promptly as one of ten.
 
 /// Ticks between two questions to the stop function: less than a millisecond of work, and far more than the
@@ -15,7 +15,7 @@ const TICKS_OF_A_STEP: u64 = 128;
 /// A function that says when the caller wants no more: true ends the search.
 pub type StopFunction<'a> = &'a (dyn Fn() -> bool + Sync);
 
-/// Asks the caller's stop function once in a while. A tick is about what a test of two simple shapes costs.
+/// Calls the caller's stop function once in a while. A tick is about what a test of two simple shapes costs.
 pub struct Watch<'a> {
     stop: StopFunction<'a>,
     /// Ticks until the next question.
@@ -26,7 +26,7 @@ pub struct Watch<'a> {
 }
 
 impl<'a> Watch<'a> {
-    /// A watch that asks at its first tick.
+    /// A watch that calls the stop function at its first tick.
     pub fn new(stop: StopFunction<'a>) -> Watch<'a> {
         Watch { stop, left: 0, grace: 0, stopped: false }
     }
@@ -91,7 +91,7 @@ impl<'a> Effort<'a> {
         !self.spent && self.watch.go_on(self.ticks)
     }
 
-    /// For work that is no step: asks the caller as often as it takes.
+    /// For work that is no step: calls the stop function as often as it takes.
     pub fn watch(&mut self) -> &mut Watch<'a> {
         &mut self.watch
     }

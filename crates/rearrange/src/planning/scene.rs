@@ -176,7 +176,7 @@ impl<'a> Scene<'a> {
 fn row_ticks(problem: &Problem) -> u64 {
     /// Pairs of corners that take as long as a pair of discs.
     const CORNERS_OF_A_TICK: usize = 16;
-    /// For whoever is asked if a place is within reach.
+    /// For the caller's check of reach.
     const TICKS_OF_REACH: u64 = 1000;
     let corners = |footprint: &Footprint| match footprint {
         Footprint::Disc { .. } => 1,

@@ -6,7 +6,8 @@
 //! common, so the sum of their bounds is a bound, if not a tight one.
 
 use crate::planning::effort::Watch;
-use crate::planning::feedback::{FeedbackSet, greedy, search};
+use crate::planning::feedback::search::{greedy, search};
+use crate::planning::feedback::set::FeedbackSet;
 use crate::planning::graph::DependencyGraph;
 use crate::planning::object_set::{Bits, ObjectSet};
 
