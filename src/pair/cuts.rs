@@ -9,7 +9,7 @@
 use crate::pair::run::{bring_up, true_poses};
 use crate::pair::stage::Stage;
 use crate::pair::storm::{Aftermath, aftermath};
-use crate::pair::work::job;
+use crate::pair::work::approved_job;
 use crate::pair::{Adapter, Choice, Loss, Pair};
 use cell_machine::device::gripper_types::ModbusRequest;
 use cell_machine::device::robot_types::Link;
@@ -124,7 +124,8 @@ fn begun(
     }
     counting.set(Counting::On(0));
     pair.order(Order::Arm);
-    pair.submit(job(&stage.model, &true_poses(&pair, &stage.model), seed, 0));
+    pair.approve_plans();
+    pair.submit(approved_job(&stage.model, &true_poses(&pair, &stage.model), seed, 0));
     Ok((pair, counting))
 }
 

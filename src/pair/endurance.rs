@@ -12,7 +12,7 @@ use crate::pair::run::{bring_up, true_poses};
 use crate::pair::stage::Stage;
 use crate::pair::storm::aftermath;
 use crate::pair::sweep::bring_about;
-use crate::pair::work::job;
+use crate::pair::work::approved_job;
 use crate::pair::{Choice, Pair};
 use cell_machine::orders::Order;
 use cell_replay::Piece;
@@ -74,6 +74,7 @@ pub fn endurance(
     if !bring_up(&mut pair) {
         return Ok((vec!["the cell does not come up".to_string()], pair));
     }
+    pair.approve_plans();
     let rng = ChaCha8Rng::seed_from_u64(choice.seed ^ 0x656e_6475_7265);
     let mut day = Day { stage, seed: choice.seed, rng, number: 0, wrong: Vec::new() };
     let mut next_fault_s = course.fault_every_s;
@@ -134,7 +135,7 @@ impl Day<'_> {
             pair.order(Order::Arm);
         }
         let at = true_poses(pair, &self.stage.model);
-        pair.submit(job(&self.stage.model, &at, self.seed, self.number));
+        pair.submit(approved_job(&self.stage.model, &at, self.seed, self.number));
         self.number += 1;
     }
 

@@ -8,7 +8,7 @@
 use crate::pair::run::{bring_up, true_poses};
 use crate::pair::stage::Stage;
 use crate::pair::sweep::{after, settled};
-use crate::pair::work::job;
+use crate::pair::work::approved_job;
 use crate::pair::{Choice, Pair};
 use cell_machine::orders::Order;
 use rand::{RngExt, SeedableRng};
@@ -50,7 +50,8 @@ pub fn hands(stage: &Stage, seed: u64, keep: bool) -> Result<(Vec<String>, Pair)
     }
     let objects: Vec<String> = stage.model.objects.iter().map(|object| object.id.clone()).collect();
     pair.order(Order::Arm);
-    pair.submit(job(&stage.model, &true_poses(&pair, &stage.model), seed, 0));
+    pair.approve_plans();
+    pair.submit(approved_job(&stage.model, &true_poses(&pair, &stage.model), seed, 0));
     let began = pair.seconds();
     let mut moments: Vec<f64> =
         (0..rng.random_range(1..=3)).map(|_| rng.random_range(0.0..WITHIN_S)).collect();

@@ -9,6 +9,7 @@
 
 mod adapter;
 pub mod camera_view;
+mod carry_out;
 mod choice;
 pub mod cuts;
 pub mod disk;
@@ -17,6 +18,7 @@ pub mod hands;
 pub mod mirror;
 pub mod modbus;
 pub mod network;
+pub mod operator;
 pub mod orders;
 pub mod orders_page;
 pub mod outcome;
@@ -40,17 +42,17 @@ use crate::pair::camera_view::CameraView;
 use crate::pair::disk::Disk;
 use crate::pair::mirror::Mirror;
 use crate::pair::network::Network;
+use crate::pair::operator::Operator;
 use crate::pair::rules::Rules;
 use crate::pair::stage::Stage;
 use crate::pair::store::Store;
 use crate::pair::trace::Trace;
 use cell_machine::device::program::TemplateError;
-use cell_machine::event::{Effect, Event, News};
+use cell_machine::event::Event;
 use cell_machine::intake::Origin;
 use cell_machine::machine::Machine;
 use cell_machine::orders::{Order, Reply};
-use cell_machine::planner::answer;
-use cell_machine::supervisor::input::{Notice, PlanAnswer, PlanRequest};
+use cell_machine::supervisor::input::Notice;
 use cell_machine::supervisor::order::{JobOrder, JobReport};
 use cell_machine::supervisor::round::{RoundFault, RoundOrder};
 use cell_machine::supervisor::status::Status;
@@ -63,12 +65,6 @@ use ur_sim::faults::{FaultError, Order as FaultOrder, Planned};
 use ur_sim::motion::FRAME_SECONDS;
 use ur_sim::simulator::{Simulator, SimulatorError};
 use ur_sim::world::lock;
-
-/// Seconds that planning takes, from and to.
-const PLANNING_S: (f64, f64) = (0.005, 0.08);
-
-/// Seconds that putting a look together takes, from and to.
-const OBSERVING_S: (f64, f64) = (0.002, 0.02);
 
 /// Why a closed loop cannot be set up.
 #[derive(Debug, thiserror::Error)]
@@ -124,6 +120,9 @@ pub struct Pair {
     replies: VecDeque<(u64, Reply)>,
     notices: Vec<Notice>,
     status: Option<Status>,
+    /// Number of the last plan that people are shown, and who approves plans.
+    plan_shown: Option<u64>,
+    operator: Option<Operator>,
     /// Runs of the daemon so far.
     runs: u64,
     /// The daemon has ended by itself.
@@ -148,6 +147,7 @@ impl Pair {
             machine,
             simulator,
             camera_view,
+            rules: Rules::new(&stage),
             stage,
             choice,
             frame: 0,
@@ -156,7 +156,6 @@ impl Pair {
             rng: ChaCha8Rng::seed_from_u64(seed ^ 0x7061_6972),
             later: Vec::new(),
             due: Vec::new(),
-            rules: Rules::default(),
             trace: Trace::new(keep_trace),
             adapter: None,
             made_up: Vec::new(),
@@ -164,6 +163,8 @@ impl Pair {
             replies: VecDeque::new(),
             notices: Vec::new(),
             status: None,
+            plan_shown: None,
+            operator: None,
             runs: 0,
             ended: None,
             round_over: None,
@@ -173,6 +174,11 @@ impl Pair {
     /// Puts something between machine and world.
     pub fn adapt(&mut self, adapter: Box<dyn Adapter>) {
         self.adapter = Some(adapter);
+    }
+
+    /// From now on a person approves the plans that wait for it, after a while by seed.
+    pub fn approve_plans(&mut self) {
+        self.operator = Some(Operator::new(self.choice.seed));
     }
 
     /// The cell's time: zero when the cell was switched on.
@@ -352,6 +358,7 @@ impl Pair {
             self.turn(events);
         }
         self.rules.check(self.frame, &self.machine, &self.simulator, self.status.as_ref());
+        self.take_approval();
     }
 
     /// Until `over`, but at most so many simulated seconds; false when it is not over then.
@@ -397,7 +404,10 @@ impl Pair {
 
     fn hand_over(&mut self, now: Timestamp, event: Event) {
         if let Some(mirror) = &mut self.mirror {
-            mirror.event(now, &event);
+            match &mut self.adapter {
+                None => mirror.event(now, &event),
+                Some(adapter) => mirror.event(now, &adapter.recorded(event.clone())),
+            }
         }
         self.machine.handle(now, event);
     }
@@ -406,6 +416,7 @@ impl Pair {
     fn pass(&mut self, events: Vec<Event>) -> Vec<Event> {
         let Some(adapter) = &mut self.adapter else { return events };
         let (mut effects, mut passed) = (Vec::new(), std::mem::take(&mut self.made_up));
+        adapter.watch(&self.simulator);
         adapter.frame(&self.machine, &mut effects, &mut passed);
         events.into_iter().for_each(|event| adapter.event(event, &mut passed));
         effects.into_iter().for_each(|effect| self.carry_out(effect));
@@ -438,63 +449,5 @@ impl Pair {
         }
         let frame = self.frame;
         events.extend(self.later.extract_if(.., |later| later.due <= frame).map(|later| later.event));
-    }
-
-    fn after(&mut self, (from, to): (f64, f64), event: Event) {
-        let seconds = self.rng.random_range(from..to);
-        let due = self.frame + (seconds / FRAME_SECONDS) as u64 + 1;
-        self.later.push(Later { due, event });
-    }
-
-    fn carry_out(&mut self, effect: Effect) {
-        self.trace.effect(self.frame, &effect);
-        self.rules.effect(self.frame, &effect, &self.machine);
-        match effect {
-            Effect::Connect(link) => self.network.connect(self.frame, link),
-            Effect::Close(link) => self.network.close(&mut self.simulator, link),
-            Effect::Send(link, bytes) => self.network.send(self.frame, link, bytes),
-            Effect::Registers(request) => self.network.transact(self.frame, &mut self.simulator, request),
-            Effect::Look { number, frames, table_from_camera } => {
-                let now_s = lock(&self.simulator.core().world).now_s();
-                self.camera_view.look(now_s, number, frames, table_from_camera);
-            }
-            Effect::Observe { number, views, partial, held } => {
-                let seen = self.camera_view.observe(&views, partial.as_ref(), held.as_ref());
-                self.after(OBSERVING_S, Event::Observed(number, seen));
-            }
-            Effect::Plan { number, request } => {
-                let plan = self.plan(&request);
-                self.after(PLANNING_S, Event::Planned(number, Box::new(plan)));
-            }
-            Effect::Commit { number, record } => self.disk.commit(self.frame, number, record),
-            Effect::Reply { number, reply } => self.replies.push_back((number, reply)),
-            Effect::WantJob => self.store.wanted(),
-            Effect::Notify(news) => self.notify(news),
-            Effect::End(how) => self.ended = Some(how.map_err(|fault| fault.to_string())),
-            Effect::Picture { number, pose, base_from_flange } => {
-                let now_s = lock(&self.simulator.core().world).now_s();
-                self.camera_view.picture(now_s, number, pose, base_from_flange);
-            }
-            Effect::RoundOver(result) => self.round_over = Some(result),
-            // A plan takes no time of its own here.
-            Effect::CancelPlan => {}
-        }
-    }
-
-    fn plan(&self, request: &PlanRequest) -> PlanAnswer {
-        answer(request, Some(self.choice.plan_work), &|_| false, &|| 0.0)
-    }
-
-    fn notify(&mut self, news: News) {
-        match news {
-            News::Identified(_) => {
-                let mut model = Box::new(self.stage.model.clone());
-                model.held_before = self.store.held_before().cloned();
-                self.due.push(Event::Commission { model, arm: false });
-            }
-            News::Notice(notice) => self.notices.push(notice),
-            News::Status(status) => self.status = Some(*status),
-            News::Route(_) | News::Ended(_) => {}
-        }
     }
 }

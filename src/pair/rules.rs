@@ -1,463 +1,245 @@
-//! The rules that hold at all times (design, section 7), held against the truth of the simulated cell after
-//! every frame.
+//! The rules that hold at all times, held against the truth of the simulated cell after every frame.
 //!
-//! In: what passes between machine and world (here), the state of both (`frame`). Out: [`Breach`]es, each
-//! with its rule's name. The rules know nothing of how the machine decides: they look at the arm, the
-//! vacuum, the disk, the answers and the sight that a pick rests on. A rule that the machine's own word
-//! could satisfy would prove nothing.
+//! In: what passes between machine and world, the state of both. Out: [`Breach`]es, each with its rule's
+//! name. The rules know nothing of how the machine decides: they look at the arm, the vacuum, the disk, the
+//! answers and the sight that a pick rests on. A rule that the machine's own word could satisfy would prove
+//! nothing. Each file below is a few rules with what they have to remember.
 
-use crate::pair::thin_arm::ThinModel;
-use cell_machine::device::gripper_types::{Channels, ModbusRequest};
+mod approvals;
+mod arming;
+mod bodies;
+mod calibration;
+mod conduct;
+mod found;
+mod holding;
+mod limits;
+mod rule;
+mod solid;
+mod texts;
+mod truth;
+mod waits;
+
+pub use crate::pair::rules::rule::{Breach, Rule};
+
+use crate::pair::rules::approvals::Approvals;
+use crate::pair::rules::arming::Arming;
+use crate::pair::rules::bodies::Bodies;
+use crate::pair::rules::calibration::Calibration;
+use crate::pair::rules::conduct::{Conduct, is_grip};
+use crate::pair::rules::found::Found;
+use crate::pair::rules::holding::Holding;
+use crate::pair::rules::limits::Limits;
+use crate::pair::rules::truth::Truth;
+use crate::pair::rules::waits::Waits;
+use crate::pair::stage::Stage;
+use cell_machine::device::gripper_types::ModbusRequest;
 use cell_machine::device::robot_types::Link;
-use cell_machine::event::{Effect, Event, News};
+use cell_machine::event::{Effect, Event};
 use cell_machine::machine::Machine;
-use cell_machine::orders::{Order, Reply, WayBack};
+use cell_machine::orders::{Order, Reply};
 use cell_machine::supervisor::input::Record;
-use cell_machine::supervisor::mode::Mode;
-use cell_machine::supervisor::reason::STOP_ORDERED;
-use cell_machine::supervisor::status::Doing;
-use cell_values::units::Joints;
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
-use ur_sim::faults::{Fault, Order as FaultOrder, RobotFault, WorldFault};
-use ur_sim::world::vacuum::VacuumMode;
-
-/// A rule, by a name that stays.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Rule {
-    /// The arm begins to move although the cell is disarmed and no pick-n-place is under way.
-    MotionWhileDisarmed,
-    /// The vacuum is switched on for a pick-n-place that is not on disk.
-    GripBeforeCommit,
-    /// The arm begins to move on a state older than 100 ms.
-    MotionOnStaleState,
-    /// The arm moves for a program that is not the one uploaded last.
-    MotionOfOldProgram,
-    /// The arm moves two and a half seconds after a stop was reported, or has been at rest since and
-    /// moves again.
-    MotionAfterStop,
-    /// The vacuum is switched off while the tool moves.
-    VacuumOffInMotion,
-    /// The vacuum is switched off although what is held is not at its place, and no person ordered it.
-    VacuumOffAway,
-    /// Something is held and the vacuum is not read.
-    HeldUnwatched,
-    /// An empty tool goes down for a pick, or the vacuum is switched on for it, on a sight older than the
-    /// last pick, place, stop or release.
-    PickOnOldSight,
-    /// An object is gripped that is not where it was picked for, although a hand had moved it before a
-    /// picture that shows where it is, or where it was.
-    PickOfMoved,
-    /// A record is reported to the machine as on disk, and it is not.
-    AcknowledgedNotWritten,
-    /// An answer says what is not so.
-    AnswerNotTrue,
-    /// An order was answered twice, or an answer came for none.
-    AnswerWithoutOrder,
-    /// An order has no answer.
-    OrderUnanswered,
-    /// The status says armed and the cell is not, or the other way round; or that a disarmed arm rests, and
-    /// it moves.
-    StatusNotTrue,
-    /// Arming was accepted although no state of the robot comes, safety forbids motion, or something is
-    /// held.
-    ArmedWithGateClosed,
-    /// A connection was lost and the cell is armed all the same.
-    ArmedThroughLinkLoss,
-    /// A safety stop was acknowledged by celld.
-    SafetyAcknowledged,
-    /// A motion begins although the pendant was switched to local control a while ago.
-    MotionInLocalControl,
-    /// Power, brakes or a program are ordered of the robot although the cell is disarmed.
-    StartedWhileDisarmed,
-    /// The arm moves where it lies in itself or in the table, by a model of this loop's own.
-    ArmMeets,
-    /// The recorded run, carried out again, decides something else.
-    ReplayDiffers,
-}
-
-impl Rule {
-    /// All of them.
-    pub const ALL: [Rule; 22] = [
-        Rule::MotionWhileDisarmed,
-        Rule::GripBeforeCommit,
-        Rule::MotionOnStaleState,
-        Rule::MotionOfOldProgram,
-        Rule::MotionAfterStop,
-        Rule::VacuumOffInMotion,
-        Rule::VacuumOffAway,
-        Rule::HeldUnwatched,
-        Rule::PickOnOldSight,
-        Rule::PickOfMoved,
-        Rule::AcknowledgedNotWritten,
-        Rule::AnswerNotTrue,
-        Rule::AnswerWithoutOrder,
-        Rule::OrderUnanswered,
-        Rule::StatusNotTrue,
-        Rule::ArmedWithGateClosed,
-        Rule::ArmedThroughLinkLoss,
-        Rule::SafetyAcknowledged,
-        Rule::MotionInLocalControl,
-        Rule::StartedWhileDisarmed,
-        Rule::ArmMeets,
-        Rule::ReplayDiffers,
-    ];
-}
-
-/// A rule that was broken.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Breach {
-    /// When, in controller frames.
-    pub frame: u64,
-    /// Which.
-    pub rule: Rule,
-    /// What was seen.
-    pub detail: String,
-}
-
-/// A control word that switches a channel's pump on.
-fn is_grip(word: &u16) -> bool {
-    word >> 8 == 1
-}
-
-/// A link that brings no state for so long is gone, 90 ms: celld stops the arm after 100 ms.
-const SILENT_FRAMES: u64 = 45;
-
-/// After this long celld has to know that a gate is closed.
-const KNOWN_FRAMES: u64 = 250;
-
-/// An acknowledgement comes before so many further records are written.
-const LATE_RECORDS: u64 = 1000;
+use cell_machine::supervisor::status::Status;
+use ur_sim::faults::Order as FaultOrder;
+use ur_sim::simulator::Simulator;
+use ur_sim::world::lock;
 
 /// Breaches kept.
 const MOST_BREACHES: usize = 64;
 
+/// A rule that is broken in every frame is reported once in this time, 2 s.
+const REPORTED_FRAMES: u64 = 1000;
+
 /// The rules at work. See the module.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Rules {
-    breaches: Vec<Breach>,
-    /// The arm as it is, once the machine knows it.
-    thin: Option<ThinModel>,
-    moved: bool,
-    stopped_at: Option<u64>,
-    /// Frames for which the arm has not moved, and when it last began to, from standstill.
-    still: u64,
-    began_at: u64,
-    /// The program was paused in the last frame, and when it was played again with no stop in reach.
-    paused: bool,
-    played_at: Option<u64>,
-    /// A pick-n-place is under way, by the journal.
-    picking: bool,
-    /// One is written down, and neither over nor given up.
-    meant: bool,
-    /// Its object was gripped.
-    gripped: bool,
-    /// The status says that one is under way.
-    works: bool,
-    last_state: u64,
-    /// The RTDE connection is gone since the last state; when states came again after that, and the last one
-    /// before.
-    rtde_gone: bool,
-    back_at: Option<u64>,
-    silent_since: u64,
-    /// Bytes of a package that is not complete.
-    package: Vec<u8>,
-    last_read: u64,
     frame: u64,
-    /// Records on their way to the disk, with whether a grip waits for them.
-    open: BTreeMap<u64, bool>,
-    written: BTreeSet<u64>,
-    /// Without an answer yet, with the frame in which they were given.
-    orders: BTreeMap<u64, (u64, Order)>,
-    /// Releases that a person ordered and that are not answered yet, and when the last one was, or was
-    /// forgotten with its daemon.
-    releases: u32,
-    released_at: Option<u64>,
-    /// A person has chosen a way back from the safety stop in force.
-    way_chosen: bool,
-    vacuum: [Option<VacuumMode>; 2],
-    held_since: Option<u64>,
-    sight: u64,
-    disturbed: u64,
-    /// Frames of a picture have been exposed since the last controller frame; when the last ones were, and
-    /// the arm's joints then, oldest first; when hands moved which objects.
-    exposed: bool,
-    pictures: VecDeque<(u64, Joints)>,
-    moved_by_hand: BTreeMap<String, u64>,
-    /// An object is being gripped.
-    gripping: bool,
-    /// Height from which the tool goes down, or up to which it has gone, m over the table.
-    height: f64,
-    /// Another client's program may move the arm.
-    stranger: bool,
-    /// Since when a gate that a person cannot see past is closed, and which.
-    closed: Option<(u64, &'static str)>,
-    local_since: Option<u64>,
-    /// When the daemon was started anew.
-    restarted_at: Option<u64>,
-    /// When the cell was armed last.
-    armed_at: Option<u64>,
-    /// Frames for which the arm has moved with a status that says that it rests.
-    unshown: u64,
-    /// A connection that was lost while the cell was armed.
-    lost: Option<(u64, Link)>,
+    breaches: Vec<Breach>,
+    found: Found,
+    conduct: Conduct,
+    approvals: Approvals,
+    calibration: Calibration,
+    bodies: Bodies,
+    limits: Limits,
+    arming: Arming,
+    holding: Holding,
+    waits: Waits,
 }
 
 impl Rules {
+    /// For this cell, as its configuration and the simulation have it.
+    pub fn new(stage: &Stage) -> Rules {
+        let (model, gripper) = (&stage.model, &stage.world.gripper);
+        Rules {
+            frame: 0,
+            breaches: Vec::new(),
+            found: Found::default(),
+            conduct: Conduct::default(),
+            approvals: Approvals::default(),
+            calibration: Calibration::new(&model.tolerances.reference),
+            bodies: Bodies::new(stage),
+            limits: Limits::new(model.arm.limits.clone(), gripper.flange_from_tool, model.round.clone()),
+            arming: Arming::new(model.tolerances.arm_lapse.as_secs_f64()),
+            holding: Holding::default(),
+            waits: Waits::new(model.tolerances.retries),
+        }
+    }
+
     /// Breaches so far, oldest first.
     pub fn breaches(&self) -> &[Breach] {
         &self.breaches
     }
 
-    fn breach(&mut self, rule: Rule, detail: String) {
-        if self.breaches.len() < MOST_BREACHES {
-            self.breaches.push(Breach { frame: self.frame, rule, detail });
+    /// Keeps what was found.
+    fn report(&mut self) {
+        for (rule, detail) in self.conduct.found.take().into_iter().chain(self.found.take()) {
+            let last = self.breaches.iter().rev().find(|breach| breach.rule == rule);
+            let known = last.is_some_and(|last| self.frame <= last.frame + REPORTED_FRAMES);
+            if !known && self.breaches.len() < MOST_BREACHES {
+                self.breaches.push(Breach { frame: self.frame, rule, detail });
+            }
         }
     }
 
     /// The recorded run, carried out again, differs: once.
     pub fn replay_differs(&mut self, detail: &str) {
         if self.breaches.iter().all(|breach| breach.rule != Rule::ReplayDiffers) {
-            self.breach(Rule::ReplayDiffers, detail.to_string());
+            self.found.push(Rule::ReplayDiffers, detail);
         }
     }
 
     /// A fault is brought about.
     pub fn disturbed(&mut self, order: &FaultOrder) {
-        self.stranger |= matches!(order.fault, Fault::Robot(RobotFault::ForeignScript(_)));
-        if let Fault::World(WorldFault::Nudge { object, .. } | WorldFault::Place { object, .. }) =
-            &order.fault
-        {
-            self.moved_by_hand.insert(object.clone(), self.frame);
-        }
+        self.conduct.disturbed(order);
+        self.waits.acted_on();
     }
 
     /// An order was given.
     pub fn ordered(&mut self, number: u64, order: &Order) {
-        self.orders.insert(number, (self.frame, order.clone()));
-        self.releases += u32::from(matches!(order, Order::Release(_) | Order::Recover(WayBack::Release)));
-        self.way_chosen |= matches!(order, Order::Recover(way) if *way != WayBack::Show);
+        self.conduct.ordered(number, order);
+        self.approvals.ordered(number, order);
+        self.arming.ordered(self.frame, number, order);
+        self.waits.acted_on();
     }
 
     /// The daemon is gone and comes back: nothing that it knew counts.
     pub fn restarted(&mut self) {
-        self.open.clear();
-        self.written.clear();
-        self.orders.clear();
-        (self.stopped_at, self.lost) = (None, None);
-        self.released_at = Some(self.frame).filter(|_| self.releases > 0).or(self.released_at);
-        (self.releases, self.picking, self.meant) = (0, false, false);
-        self.restarted_at = Some(self.frame);
-        self.disturbed = self.frame;
-        self.last_read = self.frame;
+        self.conduct.restarted();
+        self.approvals.restarted();
+        self.arming.restarted();
+        self.holding.restarted();
+        self.limits.round_over();
+        self.waits.acted_on();
     }
 
     /// A record has truly reached the disk.
     pub fn written(&mut self, number: u64) {
-        self.open.remove(&number);
-        self.written.insert(number);
+        self.conduct.written(number);
     }
 
     /// Drops what was written long ago: no acknowledgement comes so late.
     pub fn forget(&mut self) {
-        let last = self.written.last().copied().unwrap_or(0);
-        self.written.retain(|number| number + LATE_RECORDS > last);
+        self.conduct.forget();
     }
 
     /// Something has truly happened, whatever is reported of it to the machine.
     pub fn arrived(&mut self, event: &Event) {
+        self.conduct.arrived(event);
         match event {
-            Event::Received(Link::Rtde, bytes) => self.rtde_arrived(bytes),
-            Event::Connected(Link::Rtde) => self.package.clear(),
-            Event::Disconnected(link, _) => {
-                self.lost = self.lost.or(Some((self.frame, *link)));
-                self.rtde_gone |= *link == Link::Rtde;
+            Event::Job(job) => self.approvals.handed_out(job),
+            Event::Round(order) => {
+                self.limits.round_begins(Some(order));
+                self.arming.given(true);
             }
-            Event::Observed(_, Ok(_)) => self.sight = self.frame,
-            Event::Exposed(_) => self.exposed = true,
-            Event::Time
-            | Event::Connected(_)
-            | Event::Received(..)
-            | Event::Registers(_)
-            | Event::Looked(..)
-            | Event::Observed(..)
-            | Event::Pictured(..)
-            | Event::Planned(..)
-            | Event::Committed(..)
-            | Event::StoreLost(_)
-            | Event::Commission { .. }
-            | Event::Job(_)
-            | Event::Round(_)
-            | Event::Order(..)
-            | Event::OrdersReach(_)
-            | Event::HeldUp(_)
-            | Event::Shutdown => {}
-        }
-    }
-
-    /// States of the robot, out of everything else that comes over RTDE: a length of two bytes, then `U`.
-    fn rtde_arrived(&mut self, bytes: &[u8]) {
-        self.package.extend(bytes);
-        while let [high, low, kind, ..] = *self.package {
-            let length = usize::from(u16::from_be_bytes([high, low])).max(3);
-            if self.package.len() < length {
-                return;
-            }
-            self.package.drain(..length);
-            if kind == b'U' {
-                if self.silent() {
-                    (self.back_at, self.silent_since) = (Some(self.frame), self.last_state);
-                }
-                (self.last_state, self.rtde_gone) = (self.frame, false);
-            }
+            Event::Commission { arm: true, .. } => self.arming.given(true),
+            Event::Observed(number, Ok(_)) => self.calibration.observed(*number),
+            _ => {}
         }
     }
 
     /// Something goes into the machine.
     pub fn event(&mut self, event: &Event) {
-        if let Event::Committed(number, Ok(())) = event
-            && !self.written.contains(number)
-        {
-            self.breach(Rule::AcknowledgedNotWritten, format!("record {number}"));
-        }
+        self.conduct.event(event);
     }
 
     /// Something comes out of it.
     pub fn effect(&mut self, frame: u64, effect: &Effect, machine: &Machine) {
         self.frame = frame;
+        if let Effect::Reply { number, reply } = effect {
+            self.answered(*number, reply);
+        }
+        self.conduct.effect(frame, effect, machine);
         match effect {
-            Effect::Commit { number, record } => {
-                self.open.insert(*number, matches!(record, Record::Intent { .. }));
-                self.gripped |= matches!(record, Record::Gripped { .. });
-                match record {
-                    Record::Intent { .. } => (self.meant, self.gripped) = (true, false),
-                    Record::Withdrawn { .. } => (self.picking, self.meant) = (false, false),
-                    Record::Gripped { .. } | Record::Released { .. } | Record::LetGo { .. } => {
-                        self.disturbed = frame
-                    }
-                    // The way from the place is still to be finished.
-                    Record::Done { .. } => (self.meant, self.disturbed) = (false, frame),
-                    Record::Found { .. } | Record::Planned(_) | Record::Approved | Record::Ended(_) => {}
-                }
-            }
-            Effect::Send(Link::Dashboard, bytes) => self.check_line(bytes, machine),
-            Effect::Send(Link::Primary, _) => self.check_started("a program", machine),
-            Effect::Registers(ModbusRequest::Read { .. }) => self.last_read = frame,
+            Effect::Commit { record, .. } => self.noted(record),
+            Effect::Send(Link::Primary, bytes) => texts::check_program(bytes, &mut self.found),
+            Effect::Send(Link::Dashboard, bytes) => texts::check_line(bytes, &mut self.found),
             Effect::Registers(ModbusRequest::Write { values, .. }) if values.iter().any(is_grip) => {
-                self.check_grip();
+                self.grips();
             }
-            Effect::Reply { number, reply } => self.check_reply(*number, reply, machine),
-            Effect::End(_) => self.check_end(),
-            Effect::Notify(News::Notice(notice)) if notice.text.starts_with(STOP_ORDERED) => {
-                (self.stopped_at, self.picking, self.meant) = (Some(frame), false, false);
-                self.disturbed = frame;
+            Effect::Look { .. } => self.calibration.pictured(),
+            Effect::Observe { number, partial, .. } => {
+                self.calibration.put_together(*number, partial.is_none());
             }
-            Effect::Connect(_)
-            | Effect::Close(_)
-            | Effect::Send(..)
-            | Effect::Registers(_)
-            | Effect::Look { .. }
-            | Effect::Observe { .. }
-            | Effect::Picture { .. }
-            | Effect::Plan { .. }
-            | Effect::CancelPlan
-            | Effect::WantJob
-            | Effect::Notify(_)
-            | Effect::RoundOver(_) => {}
-        }
-    }
-
-    /// Safety stops are acknowledged by a person.
-    fn check_line(&mut self, bytes: &[u8], machine: &Machine) {
-        let line = String::from_utf8_lossy(bytes).to_lowercase();
-        let unlocks = line.contains("unlock protective stop") && !self.way_chosen;
-        if unlocks || line.contains("restart safety") {
-            self.breach(Rule::SafetyAcknowledged, line.trim().to_string());
-        }
-        if ["power on", "brake release"].iter().any(|word| line.contains(word)) {
-            self.check_started(line.trim(), machine);
-        }
-    }
-
-    fn check_started(&mut self, what: &str, machine: &Machine) {
-        if !machine.supervisor().is_some_and(|supervisor| supervisor.mode().armed()) {
-            self.breach(Rule::StartedWhileDisarmed, what.to_string());
-        }
-    }
-
-    /// The sender of an order that has arrived is answered before the daemon ends.
-    fn check_end(&mut self) {
-        let given = |at: u64| at + 1 < self.frame;
-        let open = self.orders.values().find(|(at, _)| given(*at)).map(|(_, order)| format!("{order:?}"));
-        if let Some(order) = open {
-            self.breach(Rule::OrderUnanswered, order);
-        }
-    }
-
-    fn check_reply(&mut self, number: u64, reply: &Reply, machine: &Machine) {
-        let accepted = reply.accepted;
-        let Some((_, order)) = self.orders.remove(&number) else {
-            return self.breach(Rule::AnswerWithoutOrder, format!("order {number}"));
-        };
-        let Some(mode) = machine.supervisor().map(|supervisor| supervisor.mode()) else { return };
-        let armed_before = self.armed_at.is_some_and(|at| self.frame <= at + 1);
-        if order == Order::Arm && accepted && !armed_before {
-            self.lost = None;
-            if let Some((_, gate)) = self.closed.filter(|(since, _)| self.frame > since + KNOWN_FRAMES) {
-                self.breach(Rule::ArmedWithGateClosed, gate.to_string());
+            Effect::RoundOver(_) => {
+                self.limits.round_over();
+                self.arming.given(false);
             }
+            _ => {}
         }
-        let stands = !reply.message.starts_with("stopped") || !self.moved;
-        let fine = match order {
-            // A way back arms the cell for itself alone.
-            Order::Arm => accepted == mode.armed() || (!accepted && self.recovers(mode, machine)),
-            Order::Disarm => {
-                // Plainly disarmed: no pick-n-place is finished first.
-                self.picking &= reply.message != "disarmed";
-                !mode.armed() && (!accepted || stands)
+        self.report();
+    }
+
+    fn answered(&mut self, number: u64, reply: &Reply) {
+        if reply.accepted && self.conduct.order(number) == Some(&Order::Calibrate) {
+            self.limits.round_begins(None);
+        }
+        self.approvals.answered(number, reply.accepted);
+        self.arming.answered(self.frame, number, reply);
+    }
+
+    fn noted(&mut self, record: &Record) {
+        match record {
+            Record::Planned(note) => self.approvals.planned(note),
+            Record::Intent { step, object, from, to, .. } => {
+                self.approvals.intends(object, *from, *to);
+                self.waits.intends(*step, &mut self.found);
             }
-            Order::Abort => !mode.armed() && (!accepted || !self.moved),
-            Order::Pause => !accepted || mode.paused(),
-            Order::Resume => !accepted || !(mode.paused() || mode.pauses_after_this_move()),
-            Order::Park | Order::Step => !accepted || mode.armed(),
-            Order::Release(_) | Order::Recover(WayBack::Release) => {
-                let channels = if let Order::Release(channels) = order { channels } else { Channels::Both };
-                if accepted || matches!(order, Order::Release(_)) {
-                    self.disturbed = self.frame;
-                }
-                self.releases = self.releases.saturating_sub(1);
-                !accepted || (!mode.armed() && self.is_off(channels))
-            }
-            // Only a way that moves the arm may arm the cell for it.
-            Order::Recover(way) => !accepted || matches!(way, WayBack::Show) || self.recovers(mode, machine),
-            Order::Calibrate => !accepted || mode.armed(),
-            Order::Approve { .. } | Order::Reject(_) | Order::Cancel(_) | Order::ConfirmGripper => true,
-        };
-        if !fine {
-            self.breach(Rule::AnswerNotTrue, format!("{order:?}: {reply:?}, {mode:?}"));
+            Record::Gripped { .. } | Record::Ended(_) => self.waits.succeeded(),
+            Record::Found { .. }
+            | Record::Approved
+            | Record::Released { .. }
+            | Record::Done { .. }
+            | Record::Withdrawn { .. }
+            | Record::LetGo { .. } => {}
         }
     }
 
-    /// The machine is on a way back, or has come to its end.
-    fn recovers(&self, mode: &Mode, machine: &Machine) -> bool {
-        let doing = machine.supervisor().map(|supervisor| supervisor.status().doing);
-        !mode.armed()
-            || matches!(doing, Some(Doing::Recovering(_) | Doing::StartingRobot | Doing::Looking(..)))
-    }
-
-    /// These channels do not grip, in truth.
-    fn is_off(&self, channels: Channels) -> bool {
-        let [a, b] = self.vacuum.map(|mode| mode != Some(VacuumMode::Grip));
-        match channels {
-            Channels::A => a,
-            Channels::B => b,
-            Channels::Both => a && b,
+    /// The vacuum is switched on: for a pick, where one is written down.
+    fn grips(&mut self) {
+        if !self.conduct.intends() {
+            return;
+        }
+        if let Some(detail) = self.approvals.missing() {
+            self.found.push(Rule::PickWithoutApproval, detail);
+        }
+        if let Some(detail) = self.calibration.invalid() {
+            self.found.push(Rule::PickUncalibrated, detail);
         }
     }
 
-    fn silent(&self) -> bool {
-        self.rtde_gone || self.frame > self.last_state + SILENT_FRAMES
+    /// One controller frame is over.
+    pub fn check(&mut self, frame: u64, machine: &Machine, simulator: &Simulator, status: Option<&Status>) {
+        self.frame = frame;
+        let truth = Truth::of(frame, simulator, machine, status);
+        self.conduct.frame(&truth, machine, simulator);
+        self.limits.frame(&truth, &mut self.found);
+        self.arming.frame(&truth, &mut self.found);
+        let world = lock(&simulator.core().world);
+        self.calibration.frame(&truth, &world);
+        self.waits.frame(&truth, &world, &mut self.found);
+        self.holding.frame(&truth, &world, conduct::answers(simulator), &mut self.found);
+        let conduct = &self.conduct;
+        self.bodies.frame(&truth, &world, |object| conduct.is_astray(object), &mut self.found);
+        drop(world);
+        self.report();
     }
 }
-
-mod frame;
-mod picked;

@@ -9,7 +9,7 @@ use crate::pair::reactions::{Cause, ROWS, Row};
 use crate::pair::run::{bring_up, true_poses};
 use crate::pair::stage::Stage;
 use crate::pair::sweep::{after, bring_about, settled};
-use crate::pair::work::job;
+use crate::pair::work::approved_job;
 use crate::pair::{Choice, Pair};
 use cell_machine::code::Code;
 use cell_machine::orders::Order;
@@ -86,7 +86,8 @@ pub fn storm(stage: &Stage, choice: Choice, strikes: &[Strike]) -> Result<(After
         return Ok((aftermath, pair));
     }
     pair.order(Order::Arm);
-    pair.submit(job(&stage.model, &true_poses(&pair, &stage.model), seed, 0));
+    pair.approve_plans();
+    pair.submit(approved_job(&stage.model, &true_poses(&pair, &stage.model), seed, 0));
     let began = pair.seconds();
     for strike in strikes {
         let left = began + strike.at_s - pair.seconds();

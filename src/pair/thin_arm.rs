@@ -9,7 +9,7 @@ use cell_motion::path::ArmModel;
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Point3, Vector3};
 use ur_arm::bodies::{Capsule, HARMLESS_PAIRS, capsules};
-use ur_arm::kinematics::{DhParameters, link_frames, model_of};
+use ur_arm::kinematics::{ArmModel as Nominal, DhParameters, link_frames, model_of};
 
 /// How much thinner its capsules are than those of the check, m.
 pub const THINNER_M: f64 = 0.01;
@@ -27,7 +27,11 @@ pub struct ThinModel {
 impl ThinModel {
     /// The published capsules, thinner, and a tool in the flange's frame.
     pub fn of(model: &ArmModel, tool: Capsule) -> ThinModel {
-        let arm = model_of(&model.dh);
+        ThinModel::new(model_of(&model.dh), model.base_from_table, tool)
+    }
+
+    /// The same of an arm as it is built, before a calibration.
+    pub fn new(arm: &Nominal, base_from_table: Isometry3<f64>, tool: Capsule) -> ThinModel {
         let links = capsules(arm.name).into_iter().flatten().enumerate();
         let thinner = |capsule: &Capsule| Capsule { radius: capsule.radius - THINNER_M, ..*capsule };
         let mut bodies: Vec<(usize, Capsule)> = links
@@ -46,12 +50,7 @@ impl ThinModel {
                 }
             }
         }
-        ThinModel { nominal: arm.dh, base_from_table: model.base_from_table, bodies, pairs }
-    }
-
-    /// True where it is of this arm and table.
-    pub fn is_of(&self, model: &ArmModel) -> bool {
-        self.nominal == model_of(&model.dh).dh && self.base_from_table == model.base_from_table
+        ThinModel { nominal: arm.dh, base_from_table, bodies, pairs }
     }
 
     /// Whether all distances on a straight way in joint space are at least `distance` (m), with samples at

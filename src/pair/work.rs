@@ -55,6 +55,14 @@ pub fn job(model: &CellModel, at: &[(String, Pose2)], seed: u64, number: usize) 
     }
 }
 
+/// The same with an approval by seed; a person has to approve plans meanwhile
+/// (`Pair::approve_plans`).
+pub fn approved_job(model: &CellModel, at: &[(String, Pose2)], seed: u64, number: usize) -> JobOrder {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed.wrapping_mul(0x6170_7072).wrapping_add(number as u64));
+    let approval = Approval::ALL[rng.random_range(0..Approval::ALL.len())];
+    JobOrder { approval, ..job(model, at, seed, number) }
+}
+
 /// A place that touches nothing of `taken`; with `swaps` where another object of the job is now.
 fn place(
     model: &CellModel,

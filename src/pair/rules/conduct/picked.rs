@@ -6,7 +6,8 @@
 //! place or at the one that the pick rests on. A hand that comes after the last such picture cannot be
 //! noticed before the cups come down.
 
-use crate::pair::rules::{Rule, Rules};
+use crate::pair::rules::conduct::Conduct;
+use crate::pair::rules::rule::Rule;
 use cell_machine::machine::Machine;
 use cell_machine::supervisor::model::{CellModel, CellObject};
 use cell_values::units::Joints;
@@ -25,7 +26,7 @@ const PICKED_WITHIN_M: f64 = 0.005;
 /// Pictures that are kept: more than a look has before its pick.
 const PICTURES: usize = 16;
 
-impl Rules {
+impl Conduct {
     /// Keeps where the arm is when a picture is exposed.
     pub(super) fn note_picture(&mut self, simulator: &Simulator) {
         if std::mem::take(&mut self.exposed) {

@@ -1,27 +1,23 @@
 //! The rules that are held after every controller frame: arm, vacuum, gates, late answers, status.
 //!
-//! In: the machine, the simulated cell and the status of this frame, and what [`Rules`] has recorded of the
+//! In: the machine, the simulated cell and the status of this frame, and what [`Conduct`] has recorded of the
 //! messages before. Out: breaches. Apart from the rules about single messages because these judge a state
 //! and its age: most of them have a time after which celld has to have noticed.
 
-use crate::pair::rules::{KNOWN_FRAMES, Rule, Rules};
-use crate::pair::thin_arm::ThinModel;
+use crate::pair::rules::conduct::Conduct;
+use crate::pair::rules::rule::Rule;
+use crate::pair::rules::truth::{KNOWN_FRAMES, Truth};
 use cell_machine::machine::Machine;
 use cell_machine::supervisor::cell::Supervisor;
 use cell_machine::supervisor::status::{Doing, Status};
-use cell_values::units::Joints;
 use std::time::Duration;
-use ur_arm::bodies::Capsule;
 use ur_sim::faults::link::LinkName;
 use ur_sim::simulator::Simulator;
 use ur_sim::world::lock;
 use ur_sim::world::vacuum::{Channel, VacuumMode};
 
-/// The arm counts as moving above this joint speed, rad/s.
-const MOVES_RAD_S: f64 = 0.005;
-
-/// Frames from one look at the arm's bodies to the next, 20 ms.
-const BODIES_EVERY: u64 = 10;
+/// Frames from one look at the tool's height to the next, 20 ms.
+const DESCENT_EVERY: u64 = 10;
 
 /// A tool that is so much lower than it was goes down, m.
 const DOWN_M: f64 = 5e-4;
@@ -62,21 +58,20 @@ const LOCAL_FRAMES: u64 = 1000;
 /// Height over its place at which an object may be let go, m: press and noise.
 const PLACED_WITHIN_M: f64 = 0.004;
 
-impl Rules {
+/// The gripper answers in time.
+pub(in crate::pair::rules) fn answers(simulator: &Simulator) -> bool {
+    let link = simulator.link(LinkName::Gripper);
+    let prompt = link.latency < ANSWER_WITHIN;
+    prompt && !link.silent && !link.down && link.exception.is_none() && !link.wrong_transaction
+}
+
+impl Conduct {
     /// One controller frame is over.
-    pub fn check(&mut self, frame: u64, machine: &Machine, simulator: &Simulator, status: Option<&Status>) {
+    pub fn frame(&mut self, truth: &Truth, machine: &Machine, simulator: &Simulator) {
+        let (frame, status, moves) = (truth.frame, truth.status, truth.moves);
         self.frame = frame;
-        let core = simulator.core();
-        let (moves, nonce, stranger, safe, local, paused) = {
-            let controller = core.robot.controller();
-            let qd = controller.core.mover.qd();
-            let moves = qd.iter().any(|speed| speed.abs() > MOVES_RAD_S);
-            let ours = controller.programs.name().is_none_or(|name| name.starts_with("celld_"));
-            let (safe, local) = (controller.core.modes.motion_allowed(), !controller.core.modes.remote());
-            let nonce = controller.core.registers.output_ints[24];
-            (moves, nonce, !ours, safe, local, controller.programs.paused())
-        };
-        if std::mem::replace(&mut self.paused, paused) && !paused {
+        let (nonce, stranger, safe, local) = (truth.nonce, !truth.ours, truth.safe, truth.local);
+        if std::mem::replace(&mut self.paused, truth.paused) && !truth.paused {
             self.played_at = Some(frame).filter(|_| self.unreached());
         }
         if moves && self.still >= STOOD_FRAMES {
@@ -99,16 +94,12 @@ impl Rules {
         if began && !stranger && !self.stranger {
             self.check_begin(machine, nonce);
         }
-        if machine.supervisor().is_some_and(|supervisor| supervisor.mode().armed()) {
+        if truth.armed() {
             self.stopped_at = None;
             self.armed_at = Some(frame);
         }
-        if frame.is_multiple_of(BODIES_EVERY) {
-            let q = core.robot.controller().core.mover.q();
-            if moves && !stranger && !self.stranger {
-                self.check_bodies(machine, &q);
-            }
-            self.check_descent(machine, &q);
+        if frame.is_multiple_of(DESCENT_EVERY) {
+            self.check_descent(machine, simulator);
         }
         self.check_stopped(moves);
         self.check_vacuum(frame, simulator, machine.supervisor().is_none_or(|cell| !cell.mode().ending()));
@@ -118,28 +109,10 @@ impl Rules {
         self.check_picked(machine, simulator);
     }
 
-    /// Where it moves, the arm lies neither in itself nor in the table.
-    fn check_bodies(&mut self, machine: &Machine, q: &Joints) {
-        let Some(supervisor) = machine.supervisor() else { return };
-        let arm = &supervisor.model().arm;
-        // A calibration round works with the arm as drawn; what follows it, with another.
-        if self.thin.as_ref().is_none_or(|thin| !thin.is_of(arm)) {
-            let z = arm.flange_from_tool.translation.z;
-            // The gripper's body; its cups go down to the table.
-            let tool = Capsule { a: [0.0, 0.0, 0.4 * z], b: [0.0, 0.0, 0.6 * z], radius: 0.03 };
-            self.thin = Some(ThinModel::of(arm, tool));
-        }
-        let Some(thin) = &self.thin else { return };
-        let distance = thin.least_at(q);
-        if distance < 0.0 {
-            self.breach(Rule::ArmMeets, format!("{:.1} mm deep at {q:?}", -1e3 * distance));
-        }
-    }
-
     /// An empty tool goes down among the objects only for a pick on a sight of the table as it is now.
-    fn check_descent(&mut self, machine: &Machine, q: &Joints) {
+    fn check_descent(&mut self, machine: &Machine, simulator: &Simulator) {
         let Some(model) = machine.supervisor().map(Supervisor::model) else { return };
-        let height = model.arm.tool_at(q).translation.z;
+        let height = lock(&simulator.core().world).glance().tool[2];
         let picks = self.meant && !self.gripped;
         let goes_down = height < self.height - DOWN_M;
         if goes_down || height > self.height || !picks {
@@ -238,8 +211,9 @@ impl Rules {
         if !supervisor.mode().armed() && !self.picking && !just_now {
             self.breach(Rule::MotionWhileDisarmed, String::new());
         }
-        if self.frame > self.last_state + STATE_AGE_FRAMES {
-            self.breach(Rule::MotionOnStaleState, format!("{} frames", self.frame - self.last_state));
+        let state = self.last_state.min(self.given_state);
+        if self.frame > state + STATE_AGE_FRAMES {
+            self.breach(Rule::MotionOnStaleState, format!("{} frames", self.frame - state));
         }
         if self.local_since.is_some_and(|since| self.frame > since + LOCAL_FRAMES) {
             self.breach(Rule::MotionInLocalControl, String::new());
@@ -273,11 +247,7 @@ impl Rules {
             self.breach(Rule::VacuumOffAway, format!("{:.0} mm over its place", over.unwrap_or(0.0) * 1e3));
         }
         self.held_since = if held { self.held_since.or(Some(frame)) } else { None };
-        let link = simulator.link(LinkName::Gripper);
-        let prompt = link.latency < ANSWER_WITHIN;
-        let sound =
-            prompt && !link.silent && !link.down && link.exception.is_none() && !link.wrong_transaction;
-        if !sound {
+        if !answers(simulator) {
             self.last_read = self.last_read.max(frame);
         }
         let since = self.held_since.map_or(frame, |since| since.max(self.last_read));
@@ -290,13 +260,10 @@ impl Rules {
     /// An object is about to be gripped: what is meant is on disk, and the table was seen since it was last
     /// disturbed. A grip that was on its way when a stop came is none of a pick-n-place.
     pub(super) fn check_grip(&mut self) {
-        if !self.picking {
-            return;
-        }
-        if let Some((number, _)) = self.open.iter().find(|(_, waits)| **waits) {
+        if let Some((number, _)) = self.open.iter().find(|(_, waits)| **waits && self.meant) {
             self.breach(Rule::GripBeforeCommit, format!("record {number}"));
         }
-        if self.sight <= self.disturbed {
+        if self.picking && self.sight <= self.disturbed {
             self.breach(Rule::PickOnOldSight, format!("{} frames", self.disturbed - self.sight));
         }
     }

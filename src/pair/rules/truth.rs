@@ -1,0 +1,99 @@
+//! One controller frame of the simulated cell, as the rules judge it.
+//!
+//! In: the simulator, after the frame. Out: [`Truth`]: what the arm does, what the controller's modes are.
+//! Read once a frame, so that every rule judges the same moment.
+
+use cell_machine::machine::Machine;
+use cell_machine::supervisor::cell::Supervisor;
+use cell_machine::supervisor::status::Status;
+use cell_values::units::Joints;
+use nalgebra::Isometry3;
+use ur_sim::simulator::Simulator;
+use ur_wire::enumerations::RobotMode;
+
+/// After this long celld has to know of what has happened, 0.5 s.
+pub(super) const KNOWN_FRAMES: u64 = 250;
+
+/// The arm counts as moving above this joint speed, rad/s.
+const MOVES_RAD_S: f64 = 0.005;
+
+/// Output register with the number of the running program.
+const NONCE: usize = 24;
+
+/// What is true in this frame.
+pub(super) struct Truth<'a> {
+    /// Controller frame.
+    pub frame: u64,
+    /// Joint positions, rad.
+    pub q: Joints,
+    /// Joint speeds, rad/s.
+    pub qd: [f64; 6],
+    /// Joint accelerations, rad/s2.
+    pub qdd: [f64; 6],
+    /// The flange in the base frame.
+    pub flange: Isometry3<f64>,
+    /// A joint moves.
+    pub moves: bool,
+    /// The number that the running program shows.
+    pub nonce: i32,
+    /// The program that is loaded is celld's, or none is.
+    pub ours: bool,
+    /// The program plays at full speed: nothing slows it down or stops it from outside.
+    pub follows: bool,
+    /// The program is paused.
+    pub paused: bool,
+    /// Share of its speed at which the arm follows its path.
+    pub speed: f64,
+    /// The safety system allows motion.
+    pub safe: bool,
+    /// The pendant is in local control.
+    pub local: bool,
+    /// A person holds the freedrive button.
+    pub guided: bool,
+    /// The controller's robot mode.
+    pub mode: RobotMode,
+    /// The cell as the machine has it; none before it is commissioned.
+    pub supervisor: Option<&'a Supervisor>,
+    /// What people are shown.
+    pub status: Option<&'a Status>,
+}
+
+impl<'a> Truth<'a> {
+    /// Reads it.
+    pub fn of(
+        frame: u64,
+        simulator: &Simulator,
+        machine: &'a Machine,
+        status: Option<&'a Status>,
+    ) -> Truth<'a> {
+        let controller = simulator.core().robot.controller();
+        let (core, programs) = (&controller.core, &controller.programs);
+        let qd = core.mover.qd();
+        let full = core.mover.scaling() >= 1.0 && core.registers.speed_fraction() >= 1.0;
+        let safe = core.modes.motion_allowed();
+        Truth {
+            frame,
+            q: core.mover.q(),
+            qd,
+            qdd: core.mover.qdd(),
+            flange: core.mover.flange(),
+            moves: qd.iter().any(|speed| speed.abs() > MOVES_RAD_S),
+            nonce: core.registers.output_ints[NONCE],
+            ours: programs.name().is_none_or(|name| name.starts_with("celld_")),
+            follows: full && safe && programs.playing(),
+            paused: programs.paused(),
+            speed: core.registers.speed_fraction(),
+            safe,
+            local: !core.modes.remote(),
+            guided: core.pendant.freedrive,
+            mode: core.modes.robot_mode(),
+            supervisor: machine.supervisor(),
+            status,
+        }
+    }
+
+    /// The cell is armed.
+    pub fn armed(&self) -> bool {
+        self.supervisor.is_some_and(|cell| cell.mode().armed())
+    }
+}
