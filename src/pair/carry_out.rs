@@ -83,8 +83,7 @@ impl Pair {
 
     /// What the person does who approves plans.
     pub(super) fn take_approval(&mut self) {
-        let (Some(operator), Some(plan), Some(status)) =
-            (&mut self.operator, self.plan_shown, &self.status)
+        let (Some(operator), Some(plan), Some(status)) = (&mut self.operator, self.plan_shown, &self.status)
         else {
             return;
         };

@@ -1,7 +1,7 @@
 //! A person who approves plans: by the number that was shown, some time after it was.
 //!
-//! In: which plan waits, a seed. Out: orders. The person reads a plan for a while and approves that one, also
-//! where another has taken its place meanwhile; then the answer is a refusal, and the new one is read.
+//! In: which plan waits, a seed. Out: orders. The person reads a plan for a while and approves that one,
+//! also where another has taken its place meanwhile; the answer is then a refusal, and the new one is read.
 
 use cell_machine::orders::Order;
 use rand::{RngExt, SeedableRng};

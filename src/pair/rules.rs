@@ -236,7 +236,7 @@ impl Rules {
         let world = lock(&simulator.core().world);
         self.calibration.frame(&truth, &world);
         self.waits.frame(&truth, &world, &mut self.found);
-        self.holding.frame(&truth, &world, conduct::answers(simulator), &mut self.found);
+        self.holding.frame(&truth, &world, truth::gripper_answers(simulator), &mut self.found);
         let conduct = &self.conduct;
         self.bodies.frame(&truth, &world, |object| conduct.is_astray(object), &mut self.found);
         drop(world);

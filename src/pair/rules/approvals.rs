@@ -3,7 +3,7 @@
 //!
 //! In: jobs as they were handed out, plans as they were written down, persons' orders with their answers.
 //! Out: why a pick has no approval. What the machine believes of the job does not count: the job is the one
-//! that was submitted, and the approval is an order that somebody gave.
+//! that was submitted, and the approval is an order that a person gave.
 
 use cell_machine::orders::{Approval, Order};
 use cell_machine::supervisor::input::PlanNote;

@@ -128,9 +128,9 @@ impl Arming {
     }
 
     fn guiding(&mut self, truth: &Truth, found: &mut Found) {
-        self.guided = Some(truth.frame).filter(|_| truth.guided && truth.armed()).and(
-            self.guided.or(Some(truth.frame)),
-        );
+        self.guided = Some(truth.frame)
+            .filter(|_| truth.guided && truth.armed())
+            .and(self.guided.or(Some(truth.frame)));
         if self.guided.is_some_and(|since| truth.frame == since + KNOWN_FRAMES) {
             found.push(Rule::ArmedThroughGuiding, "");
         }

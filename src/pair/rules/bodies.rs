@@ -2,9 +2,9 @@
 //!
 //! In: the arm of every frame, the objects of the simulated world, the equipment of the configuration. Out:
 //! breaches. Points of gripper, camera and load are looked for inside of objects, equipment and safety
-//! planes, where the machine measures distances of convex bodies; the arm is the thin one. What a hand has
-//! moved is nowhere that a path could know. A check is due when the arm may have moved as far as the last one
-//! left it.
+//! planes, where the machine measures distances of convex bodies; the arm is the thin one. An object that
+//! lies on the table and is moved by anything but a hand was pushed. What a hand has moved is nowhere that a
+//! path could know. A check is due when the arm may have moved as far as the last one allowed.
 
 use crate::pair::rules::found::Found;
 use crate::pair::rules::rule::Rule;
@@ -15,6 +15,7 @@ use crate::pair::thin_arm::{THINNER_M, ThinModel};
 use cell_motion::bodies::Part;
 use nalgebra::{Isometry3, Point3};
 use rearrange::geometry::pose::Pose2;
+use std::collections::BTreeMap;
 use ur_arm::bodies::{Capsule, capsules};
 use ur_arm::kinematics::{DhParameters, link_frames};
 use ur_sim::motion::FRAME_SECONDS;
@@ -40,6 +41,9 @@ const EQUIPMENT_M: f64 = 2e-3;
 const CAMERA_M: [f64; 3] = [0.042, 0.042, 0.023];
 const CAMERA_FRONT_M: f64 = 0.004;
 
+/// Frames from one look at the objects on the table to the next, 50 ms.
+const PUSHED_EVERY: u64 = 25;
+
 /// Places along a link's capsule that are looked at.
 const ALONG: usize = 5;
 
@@ -53,6 +57,8 @@ pub(super) struct Bodies {
     tool: Vec<(&'static str, Point3<f64>)>,
     equipment: Vec<(String, Solid)>,
     planes: Vec<SafetyPlane>,
+    /// Where each object lies since it came to rest.
+    lies: BTreeMap<String, Pose2>,
     /// Way that the arm may go before it could lie in itself, m; the same for tool and load.
     arm_clear_m: f64,
     tool_clear_m: f64,
@@ -71,12 +77,16 @@ impl Bodies {
         Bodies {
             arm: ThinModel::new(nominal, stage.world.base_from_table, rod),
             nominal: nominal.dh,
-            links: links.skip(2).flat_map(|(frame, each)| each.iter().map(move |one| (frame, *one))).collect(),
+            links: links
+                .skip(2)
+                .flat_map(|(frame, each)| each.iter().map(move |one| (frame, *one)))
+                .collect(),
             tool: tool_points(stage),
             equipment: equipment
                 .filter_map(|body| Some((body.name.clone(), Solid::of(&body.shape.outline()?)?)))
                 .collect(),
             planes: stage.controller.safety.planes.clone(),
+            lies: BTreeMap::new(),
             arm_clear_m: 0.0,
             tool_clear_m: 0.0,
         }
@@ -84,6 +94,9 @@ impl Bodies {
 
     /// One controller frame; `astray`: nobody but a hand knows where the object is.
     pub fn frame(&mut self, truth: &Truth, world: &World, astray: impl Fn(&str) -> bool, found: &mut Found) {
+        if truth.frame.is_multiple_of(PUSHED_EVERY) {
+            self.pushed(world, &astray, found);
+        }
         if !truth.moves || !truth.ours {
             return;
         }
@@ -102,16 +115,32 @@ impl Bodies {
         }
     }
 
+    /// What lies on the table is moved by a pick-n-place or by a hand, not by something that passes. What
+    /// sticks to the cups without vacuum is known to nobody.
+    fn pushed(&mut self, world: &World, astray: impl Fn(&str) -> bool, found: &mut Found) {
+        let sticks = world.held().next().is_some() && !grips(world);
+        for body in world.objects() {
+            if sticks || !body.is_resting() || astray(&body.id) {
+                self.lies.remove(&body.id);
+                continue;
+            }
+            let pose = body.pose();
+            let Some(before) = self.lies.get(&body.id) else {
+                self.lies.insert(body.id.clone(), pose);
+                continue;
+            };
+            let moved = pose.distance(before);
+            if moved > OBJECT_M {
+                found.push(Rule::MeetsObject, format!("{} pushed by {:.0} mm", body.id, 1e3 * moved));
+                self.lies.insert(body.id.clone(), pose);
+            }
+        }
+    }
+
     /// Looks at tool and load; the way that they may go before they could meet anything, m.
-    fn tool(
-        &self,
-        truth: &Truth,
-        world: &World,
-        astray: impl Fn(&str) -> bool,
-        found: &mut Found,
-    ) -> f64 {
+    fn tool(&self, truth: &Truth, world: &World, astray: impl Fn(&str) -> bool, found: &mut Found) -> f64 {
         let table_from_base = world.base_from_table().inverse();
-        let grips = Channel::ALL.iter().any(|channel| world.vacuum_command(*channel).0 == VacuumMode::Grip);
+        let grips = grips(world);
         let load = world.objects().iter().find(|body| grips && body.is_held());
         let mut points: Vec<(&str, Point3<f64>)> =
             self.tool.iter().map(|(name, point)| (*name, truth.flange * point)).collect();
@@ -187,6 +216,11 @@ impl Bodies {
         }
         least
     }
+}
+
+/// A channel is switched to grip.
+fn grips(world: &World) -> bool {
+    Channel::ALL.iter().any(|channel| world.vacuum_command(*channel).0 == VacuumMode::Grip)
 }
 
 /// Places along a capsule's segment.

@@ -20,7 +20,9 @@ const SURELY: f64 = 3.0;
 #[derive(Debug)]
 pub(super) struct Calibration {
     limit_m: f64,
-    /// How far it shows the table beside where it is, m, and since when.
+    /// The camera from where it was mounted, how far it shows the table beside where it is, m, and since
+    /// when.
+    shift: Isometry3<f64>,
     shift_m: f64,
     since: u64,
     frame: u64,
@@ -39,6 +41,7 @@ impl Calibration {
         let limit_m = SURELY * limits.shift_m.max(limits.residual_m);
         Calibration {
             limit_m,
+            shift: Isometry3::identity(),
             shift_m: 0.0,
             since: 0,
             frame: 0,
@@ -51,9 +54,10 @@ impl Calibration {
     /// One controller frame.
     pub fn frame(&mut self, truth: &Truth, world: &World) {
         self.frame = truth.frame;
-        let shift_m = beside_m(&world.camera_faults().shift);
-        if shift_m.to_bits() != self.shift_m.to_bits() {
-            (self.shift_m, self.since, self.shown) = (shift_m, truth.frame, false);
+        let shift = world.camera_faults().shift;
+        if shift != self.shift {
+            (self.shift, self.shift_m) = (shift, beside_m(&shift));
+            (self.since, self.shown) = (truth.frame, false);
             self.asked.clear();
         }
     }

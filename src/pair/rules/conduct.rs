@@ -368,8 +368,6 @@ impl Conduct {
     }
 }
 
-pub(super) use crate::pair::rules::conduct::frame::answers;
-
 mod frame;
 mod picked;
 mod states;

@@ -2,7 +2,7 @@
 //! a calibration round.
 //!
 //! In: the arm of every frame, the limits of the cell's own configuration, the round as it was ordered. Out:
-//! breaches. What the machine was told of its limits does not count. A stop may be harder than a motion, and
+//! breaches. The limits that the machine was given do not count. A stop may be harder than a motion, and
 //! a corner that is cut turns: a blend of two moves of acceleration `a` takes up to `2 a`.
 
 use crate::pair::rules::found::Found;

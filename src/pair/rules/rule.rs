@@ -57,7 +57,7 @@ pub enum Rule {
     /// The vacuum is switched on for a pick-n-place although the camera sits elsewhere than calibrated, and
     /// a look at the whole table could show it.
     PickUncalibrated,
-    /// Gripper, camera or load moves through an object, or the load through the table.
+    /// Gripper, camera or load moves through an object or pushes it, or goes into the table.
     MeetsObject,
     /// Arm, gripper, camera or load is inside of equipment or beyond a safety plane.
     MeetsEquipment,
@@ -75,7 +75,7 @@ pub enum Rule {
     ArmedTooLong,
     /// The cell stays armed although a person guides the arm by hand.
     ArmedThroughGuiding,
-    /// The cell stays armed although somebody else has switched the arm's power or brakes.
+    /// The cell stays armed although power or brakes were switched, and not by celld.
     ArmedThroughPower,
     /// The cell is armed, and no person has ordered it.
     ArmedWithoutOrder,

@@ -58,9 +58,8 @@ fn first_difference(text: &str) -> Option<String> {
     let mut template = PROGRAM;
     loop {
         let next = PLACES.iter().filter_map(|place| Some((template.find(place)?, place.len()))).min();
-        let (fixed, after) = next.map_or((template, ""), |(at, length)| {
-            (&template[..at], &template[at + length..])
-        });
+        let (fixed, after) =
+            next.map_or((template, ""), |(at, length)| (&template[..at], &template[at + length..]));
         let Some(matched) = rest.strip_prefix(fixed) else {
             let same = fixed.bytes().zip(rest.bytes()).take_while(|(a, b)| a == b).count();
             return Some(String::from_utf8_lossy(&rest.as_bytes()[same..]).into_owned());

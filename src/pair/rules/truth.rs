@@ -8,11 +8,16 @@ use cell_machine::supervisor::cell::Supervisor;
 use cell_machine::supervisor::status::Status;
 use cell_values::units::Joints;
 use nalgebra::Isometry3;
+use std::time::Duration;
+use ur_sim::faults::link::LinkName;
 use ur_sim::simulator::Simulator;
 use ur_wire::enumerations::RobotMode;
 
 /// After this long celld has to know of what has happened, 0.5 s.
 pub(super) const KNOWN_FRAMES: u64 = 250;
+
+/// A gripper that answers later than this counts as silent.
+const ANSWER_WITHIN: Duration = Duration::from_millis(200);
 
 /// The arm counts as moving above this joint speed, rad/s.
 const MOVES_RAD_S: f64 = 0.005;
@@ -56,6 +61,13 @@ pub(super) struct Truth<'a> {
     pub supervisor: Option<&'a Supervisor>,
     /// What people are shown.
     pub status: Option<&'a Status>,
+}
+
+/// The gripper answers in time.
+pub(super) fn gripper_answers(simulator: &Simulator) -> bool {
+    let link = simulator.link(LinkName::Gripper);
+    let prompt = link.latency < ANSWER_WITHIN;
+    prompt && !link.silent && !link.down && link.exception.is_none() && !link.wrong_transaction
 }
 
 impl<'a> Truth<'a> {

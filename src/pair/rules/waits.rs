@@ -61,7 +61,8 @@ impl Waits {
     pub fn frame(&mut self, truth: &Truth, world: &World, found: &mut Found) {
         let doing = truth.status.map(|status| &status.doing);
         let goes_on = truth.moves || doing != self.doing.as_ref();
-        let dark = matches!(doing, Some(Doing::Looking(..))) && *world.camera_faults() != CameraFaults::default();
+        let dark =
+            matches!(doing, Some(Doing::Looking(..))) && *world.camera_faults() != CameraFaults::default();
         let held_up = truth.paused || truth.speed < SLOW || dark;
         let under_way = doing.is_some_and(|doing| doing.is_under_way() && *doing != Doing::AwaitingApproval);
         if goes_on || held_up || !under_way {

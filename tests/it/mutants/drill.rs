@@ -33,12 +33,8 @@ pub struct Case {
 /// The usual cell.
 pub fn usual(_: &mut Stage) {}
 
-/// The rules that were broken in a drill, with what was seen.
-pub fn run(
-    cell: fn(&mut Stage),
-    plant: Option<fn() -> Plant>,
-    drill: fn(&mut Pair, &Stage),
-) -> Vec<(Rule, String)> {
+/// A cell after a drill.
+pub fn after(cell: fn(&mut Stage), plant: Option<fn() -> Plant>, drill: fn(&mut Pair, &Stage)) -> Pair {
     let mut stage = stage(SEED, SightKind::Corners).unwrap();
     // Long enough not to be found in bytes that mean something else.
     stage.parameters.nonce_seed = 1_234_567_890;
@@ -51,6 +47,16 @@ pub fn run(
     }
     assert!(bring_up(&mut pair), "the cell comes up");
     drill(&mut pair, &stage);
+    pair
+}
+
+/// The rules that were broken in a drill, with what was seen.
+pub fn run(
+    cell: fn(&mut Stage),
+    plant: Option<fn() -> Plant>,
+    drill: fn(&mut Pair, &Stage),
+) -> Vec<(Rule, String)> {
+    let pair = after(cell, plant, drill);
     pair.breaches().iter().map(|breach| (breach.rule, breach.detail.clone())).collect()
 }
 
@@ -85,10 +91,6 @@ pub fn work_until(pair: &mut Pair, stage: &Stage, step: WorkStep) {
     arm(pair);
     submit(pair, stage, 0);
     until_working(pair, step);
-}
-
-pub fn until_no_job(pair: &mut Pair) {
-    pair.run_until(120.0, |pair| pair.store().active().is_none() && !pair.reports().is_empty());
 }
 
 /// Brings a fault of the simulator about.

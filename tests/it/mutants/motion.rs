@@ -95,9 +95,7 @@ pub const CASES: &[Case] = &[
 fn on_commands(mut change: impl FnMut(&mut [u8]) -> bool + 'static) -> Plant {
     Plant::none().effect(move |effect, effects, _| {
         effects.push(match effect {
-            Effect::Send(Link::Rtde, bytes) => {
-                Effect::Send(Link::Rtde, rtde::commands(&bytes, &mut change))
-            }
+            Effect::Send(Link::Rtde, bytes) => Effect::Send(Link::Rtde, rtde::commands(&bytes, &mut change)),
             other => other,
         });
     })

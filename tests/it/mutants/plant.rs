@@ -3,6 +3,7 @@
 use cell_machine::device::gripper_types::ModbusRequest;
 use cell_machine::event::{Effect, Event};
 use cell_machine::machine::Machine;
+use cell_machine::supervisor::model::CellModel;
 use celld::pair::Adapter;
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
@@ -39,10 +40,7 @@ impl Plant {
         Plant { event: Box::new(event), ..self }
     }
 
-    pub fn effect(
-        self,
-        effect: impl FnMut(Effect, &mut Vec<Effect>, &mut Vec<Event>) + 'static,
-    ) -> Plant {
+    pub fn effect(self, effect: impl FnMut(Effect, &mut Vec<Effect>, &mut Vec<Event>) + 'static) -> Plant {
         Plant { effect: Box::new(effect), ..self }
     }
 
@@ -89,6 +87,19 @@ pub fn shared<T>(value: T) -> Rc<Cell<T>> {
 /// True where the machine is armed.
 pub fn is_armed(machine: &Machine) -> bool {
     machine.supervisor().is_some_and(|cell| cell.mode().armed())
+}
+
+/// The cell that celld is commissioned with, changed.
+pub fn commissioned(change: fn(&mut CellModel)) -> Plant {
+    Plant::none().event(move |event, events| {
+        events.push(match event {
+            Event::Commission { mut model, arm } => {
+                change(&mut model);
+                Event::Commission { model, arm }
+            }
+            other => other,
+        });
+    })
 }
 
 /// A register write in place of the machine's next reading, once requested; the machine gets the reading

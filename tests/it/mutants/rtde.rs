@@ -17,8 +17,9 @@ pub const MOVE_JOINT: i32 = 1;
 pub const MOVE_LINEAR: i32 = 2;
 pub const STOP: i32 = 5;
 
-/// A sign of life of celld.
+/// A sign of life of celld, by the number of its recipe: the mark of who writes is as long.
 const HEARTBEAT_BYTES: usize = 8;
+const HEARTBEAT_RECIPE: u8 = 1;
 
 /// A state of the robot, and its fields.
 const STATE_BYTES: usize = 292;
@@ -77,8 +78,8 @@ pub fn commands(bytes: &[u8], change: impl FnMut(&mut [u8]) -> bool) -> Vec<u8> 
 }
 
 /// The same with celld's signs of life.
-pub fn heartbeats(bytes: &[u8], change: impl FnMut(&mut [u8]) -> bool) -> Vec<u8> {
-    of_length(bytes, HEARTBEAT_BYTES, change)
+pub fn heartbeats(bytes: &[u8], mut change: impl FnMut(&mut [u8]) -> bool) -> Vec<u8> {
+    of_length(bytes, HEARTBEAT_BYTES, |package| package[3] != HEARTBEAT_RECIPE || change(package))
 }
 
 /// The same with states of the robot.

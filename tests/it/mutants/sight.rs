@@ -2,7 +2,7 @@
 //! stands in it, an approval that nobody gave.
 
 use crate::mutants::drill::{Case, SEED, arm, bring_about, submit, until_found, until_working, usual, wait};
-use crate::mutants::plant::{Plant, shared};
+use crate::mutants::plant::{Plant, commissioned, shared};
 use cell_machine::event::{Effect, Event, News};
 use cell_machine::orders::{Approval, Order};
 use cell_machine::supervisor::model::CellModel;
@@ -20,11 +20,12 @@ use celld::pair::stage::Stage;
 use celld::pair::table::stage;
 use celld::pair::work::job;
 use nalgebra::Isometry3;
+use rearrange::geometry::pose::Pose2;
 use std::cell::RefCell;
 use std::rc::Rc;
 
-/// What the job of every drill moves.
-const MOVED: [&str; 2] = ["block-1", "lid-1"];
+/// What is carried over another object.
+const CARRIED: &str = "plank-1";
 
 pub const CASES: &[Case] = &[
     Case {
@@ -67,7 +68,7 @@ pub const CASES: &[Case] = &[
         rule: Rule::MeetsObject,
         cell: usual,
         plant: || commissioned(flattened),
-        drill: a_whole_job,
+        drill: carried_over_another,
     },
     Case {
         name: "the equipment is not known",
@@ -83,6 +84,15 @@ fn a_whole_job(pair: &mut Pair, stage: &Stage) {
     submit(pair, stage, 0);
     pair.run_until(120.0, |pair| !pair.breaches().is_empty() || !pair.reports().is_empty());
     wait(pair, 0.3);
+}
+
+/// The plank to the other side of a block.
+fn carried_over_another(pair: &mut Pair, stage: &Stage) {
+    arm(pair);
+    let order = job(&stage.model, &true_poses(pair, &stage.model), SEED, 0);
+    let goals = vec![(CARRIED.to_string(), Pose2::new(0.08, 0.34, 0.0))];
+    pair.submit(JobOrder { goals, ..order });
+    until_found(pair, 30.0);
 }
 
 fn sight_kept() -> Plant {
@@ -220,26 +230,13 @@ fn camera_bumped(pair: &mut Pair, stage: &Stage) {
     until_found(pair, 40.0);
 }
 
-/// The cell as celld is told it is, changed.
-fn commissioned(change: fn(&mut CellModel)) -> Plant {
-    Plant::none().event(move |event, events| {
-        events.push(match event {
-            Event::Commission { mut model, arm } => {
-                change(&mut model);
-                Event::Commission { model, arm }
-            }
-            other => other,
-        });
-    })
-}
-
 /// What is not moved is taken for flat, and little air is kept over anything.
 fn flattened(model: &mut CellModel) {
-    for object in model.objects.iter_mut().filter(|object| !MOVED.contains(&object.id.as_str())) {
+    for object in model.objects.iter_mut().filter(|object| object.id != CARRIED) {
         object.height = 2e-3;
     }
     model.cycle.tallest = 2e-3;
-    model.cycle.air = 6e-3;
+    (model.cycle.air, model.cycle.approach) = (12e-3, 12e-3);
 }
 
 /// Over the middle of the table, where the arm goes from object to object.

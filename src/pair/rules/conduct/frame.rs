@@ -1,17 +1,15 @@
 //! The rules that are held after every controller frame: arm, vacuum, gates, late answers, status.
 //!
-//! In: the machine, the simulated cell and the status of this frame, and what [`Conduct`] has recorded of the
-//! messages before. Out: breaches. Apart from the rules about single messages because these judge a state
+//! In: the machine, the simulated cell and the status of this frame, and what [`Conduct`] has recorded of
+//! the messages before. Out: breaches. Apart from the rules about single messages because these judge a state
 //! and its age: most of them have a time after which celld has to have noticed.
 
 use crate::pair::rules::conduct::Conduct;
 use crate::pair::rules::rule::Rule;
-use crate::pair::rules::truth::{KNOWN_FRAMES, Truth};
+use crate::pair::rules::truth::{KNOWN_FRAMES, Truth, gripper_answers};
 use cell_machine::machine::Machine;
 use cell_machine::supervisor::cell::Supervisor;
 use cell_machine::supervisor::status::{Doing, Status};
-use std::time::Duration;
-use ur_sim::faults::link::LinkName;
 use ur_sim::simulator::Simulator;
 use ur_sim::world::lock;
 use ur_sim::world::vacuum::{Channel, VacuumMode};
@@ -24,9 +22,6 @@ const DOWN_M: f64 = 5e-4;
 
 /// A state may be this old when a motion begins: 100 ms at the order, then network and program.
 const STATE_AGE_FRAMES: u64 = 75;
-
-/// A gripper that answers later than this counts as silent.
-const ANSWER_WITHIN: Duration = Duration::from_millis(200);
 
 /// A stop may take this long.
 const STOP_FRAMES: u64 = 1250;
@@ -57,13 +52,6 @@ const LOCAL_FRAMES: u64 = 1000;
 
 /// Height over its place at which an object may be let go, m: press and noise.
 const PLACED_WITHIN_M: f64 = 0.004;
-
-/// The gripper answers in time.
-pub(in crate::pair::rules) fn answers(simulator: &Simulator) -> bool {
-    let link = simulator.link(LinkName::Gripper);
-    let prompt = link.latency < ANSWER_WITHIN;
-    prompt && !link.silent && !link.down && link.exception.is_none() && !link.wrong_transaction
-}
 
 impl Conduct {
     /// One controller frame is over.
@@ -247,7 +235,7 @@ impl Conduct {
             self.breach(Rule::VacuumOffAway, format!("{:.0} mm over its place", over.unwrap_or(0.0) * 1e3));
         }
         self.held_since = if held { self.held_since.or(Some(frame)) } else { None };
-        if !answers(simulator) {
+        if !gripper_answers(simulator) {
             self.last_read = self.last_read.max(frame);
         }
         let since = self.held_since.map_or(frame, |since| since.max(self.last_read));
