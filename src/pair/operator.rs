@@ -35,7 +35,7 @@ impl Operator {
             return None;
         }
         self.reads = None;
-        Some(Order::Approve { id: job.to_string(), plan: Some(read) })
+        Some(Order::Approve { id: job.to_string(), plan: read })
     }
 }
 
@@ -48,8 +48,8 @@ mod tests {
         let mut operator = Operator::new(1);
         assert_eq!(operator.sees(0, "job-1", 3), None);
         let order = (1..3000).find_map(|frame| operator.sees(frame, "job-1", 4));
-        assert_eq!(order, Some(Order::Approve { id: "job-1".to_string(), plan: Some(3) }));
+        assert_eq!(order, Some(Order::Approve { id: "job-1".to_string(), plan: 3 }));
         let order = (3000..6000).find_map(|frame| operator.sees(frame, "job-1", 4));
-        assert_eq!(order, Some(Order::Approve { id: "job-1".to_string(), plan: Some(4) }));
+        assert_eq!(order, Some(Order::Approve { id: "job-1".to_string(), plan: 4 }));
     }
 }

@@ -59,13 +59,10 @@ impl Approvals {
         self.next = Some(RouteAction { object: object.to_string(), from, to, to_goal: false });
     }
 
-    /// A person gives an order; without a number it is about the plan that is shown.
+    /// A person gives an order.
     pub fn ordered(&mut self, number: u64, order: &Order) {
         let Order::Approve { id, plan } = order else { return };
-        let last = self.plans.last_key_value().map(|(number, _)| *number);
-        if let Some(plan) = plan.or(last) {
-            self.given.insert(number, (id.clone(), plan));
-        }
+        self.given.insert(number, (id.clone(), *plan));
     }
 
     /// An order is answered.

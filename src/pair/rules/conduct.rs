@@ -197,6 +197,8 @@ impl Conduct {
             | Event::Job(_)
             | Event::Round(_)
             | Event::Order(..)
+            | Event::OrdersReach(_)
+            | Event::HeldUp(_)
             | Event::Shutdown => {}
         }
     }

@@ -29,7 +29,7 @@ impl Solid {
             return Some(Solid::Box(origin, [4, 2, 1].map(|corner| points[corner] - origin)));
         }
         let lower: Vec<&Point3<f64>> = points.iter().step_by(2).collect();
-        if lower.len() < 3 || points.len() % 2 != 0 {
+        if lower.len() < 3 || !points.len().is_multiple_of(2) {
             return None;
         }
         let sum: Vector3<f64> = lower.iter().map(|point| point.coords).sum();

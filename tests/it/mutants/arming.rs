@@ -5,6 +5,7 @@ use crate::mutants::plant::{Plant, commissioned, is_armed, shared};
 use crate::mutants::rtde;
 use cell_machine::device::robot_types::Link;
 use cell_machine::event::{Effect, Event, News};
+use cell_machine::intake::Origin;
 use cell_machine::orders::Order;
 use cell_machine::supervisor::status::WorkStep;
 use cell_values::time::Duration;
@@ -262,7 +263,7 @@ fn arms_itself() -> Plant {
         .frame(move |machine, _, made_up| {
             frames = if is_armed(machine) || machine.supervisor().is_none() { 0 } else { frames + 1 };
             if frames == 500 {
-                made_up.push(Event::Order(FORGED, Order::Arm));
+                made_up.push(Event::Order(FORGED, Order::Arm, Origin::OWN));
             }
         })
         .effect(|effect, effects, _| {

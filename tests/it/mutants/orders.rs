@@ -167,7 +167,7 @@ fn disarm_ignored() -> Plant {
     let number_of = Rc::clone(&ignored);
     Plant::none()
         .event(move |event, events| match event {
-            Event::Order(number, Order::Disarm) => number_of.set(Some(number)),
+            Event::Order(number, Order::Disarm, _) => number_of.set(Some(number)),
             other => events.push(other),
         })
         .frame(move |_, effects, _| {
@@ -189,7 +189,7 @@ fn answered_too_soon() -> Plant {
     let number_of = Rc::clone(&given);
     Plant::none()
         .event(move |event, events| {
-            if let Event::Order(number, Order::Abort) = &event {
+            if let Event::Order(number, Order::Abort, _) = &event {
                 number_of.set(Some(*number));
                 taken.set(Some(*number));
             }
@@ -266,7 +266,7 @@ fn stops_late() -> Plant {
     let held = Rc::clone(&waiting);
     Plant::none()
         .event(move |event, events| match event {
-            Event::Order(_, Order::Abort) => held.borrow_mut().push((25, event)),
+            Event::Order(_, Order::Abort, _) => held.borrow_mut().push((25, event)),
             other => events.push(other),
         })
         .frame(move |_, _, made_up| {
@@ -316,7 +316,7 @@ fn never_sealed(pair: &mut Pair, stage: &Stage) {
 
 fn recorded_otherwise() -> Plant {
     Plant::none().recorded(|event| match event {
-        Event::Order(number, Order::Resume) => Event::Order(number, Order::Pause),
+        Event::Order(number, Order::Resume, origin) => Event::Order(number, Order::Pause, origin),
         other => other,
     })
 }

@@ -4,6 +4,7 @@
 use crate::mutants::drill::{Case, SEED, arm, bring_about, submit, until_found, until_working, usual, wait};
 use crate::mutants::plant::{Plant, commissioned, shared};
 use cell_machine::event::{Effect, Event, News};
+use cell_machine::intake::Origin;
 use cell_machine::orders::{Approval, Order};
 use cell_machine::supervisor::model::CellModel;
 use cell_machine::supervisor::order::JobOrder;
@@ -175,9 +176,10 @@ fn approves_itself() -> Plant {
             }
             other => effects.push(other),
         })
-        .frame(move |_, _, made_up| {
+        .frame(move |_, machine, made_up| {
             let Some(id) = waiting.borrow_mut().take() else { return };
-            made_up.push(Event::Order(FORGED, Order::Approve { id, plan: None }));
+            let plan = machine.supervisor().map_or(0, |cell| cell.last_plan());
+            made_up.push(Event::Order(FORGED, Order::Approve { id, plan }, Origin::OWN));
         })
 }
 

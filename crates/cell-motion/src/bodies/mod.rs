@@ -16,7 +16,9 @@ pub mod sweep;
 mod tests;
 
 use crate::bodies::cell::{CellBodies, NamedShape};
-use crate::bodies::chains::{Chains, TOOL_FRAME};
+pub use crate::bodies::chains::TOOL_FRAME;
+
+use crate::bodies::chains::Chains;
 use crate::bodies::shape::{Shape, apart};
 use cell_values::units::Joints;
 use nalgebra::Isometry3;

@@ -1,6 +1,7 @@
 //! The feedback vertex set against brute force on small graphs and an integer programme on larger ones.
 
 use super::*;
+use crate::planning::object_set::ObjectSet;
 use good_lp::{Expression, ProblemVariables, Solution, SolverModel, constraint, microlp, variable};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
