@@ -86,6 +86,7 @@ pub enum Code {
     RobotRefused,
     ProtocolFault,
     ArmStalled,
+    JointJump,
     SpeedZero,
     RobotNotStarted,
     OtherRobot,
@@ -218,7 +219,7 @@ impl Code {
 }
 
 /// Places, words and meanings, in the order of the enum.
-const TABLE: [(Code, Place, &str, &str); 86] = [
+const TABLE: [(Code, Place, &str, &str); 87] = [
     (Code::Done, Place::Result, "done", "every object is at its goal, and the camera shows it"),
     (Code::Cancelled, Place::Result, "cancelled", "a person cancelled the job"),
     (Code::PlanRejected, Place::Result, "plan_rejected", "a person rejected the plan"),
@@ -282,6 +283,12 @@ const TABLE: [(Code, Place, &str, &str); 86] = [
         "the controller sent what its protocol does not have",
     ),
     (Code::ArmStalled, Place::Result, "arm_stalled", "the arm does not follow its path"),
+    (
+        Code::JointJump,
+        Place::Result,
+        "joint_jump",
+        "a joint was reported where it cannot have turned to so soon",
+    ),
     (
         Code::SpeedZero,
         Place::Result,

@@ -292,6 +292,7 @@ impl Machine {
             | RobotEvent::Message { .. }
             | RobotEvent::LinkSilent { .. }
             | RobotEvent::ArmStalled { .. }
+            | RobotEvent::JointJump { .. }
             | RobotEvent::ProtocolFault { .. } => {}
         }
     }

@@ -13,6 +13,8 @@ pub mod error_codes;
 
 pub mod rtde;
 
+pub mod rtde_ranges;
+
 pub mod rtde_values;
 
 pub mod rtde_variables;

@@ -307,6 +307,20 @@ pub enum Reply {
 }
 
 impl Reply {
+    /// What it is, for messages.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Reply::ProtocolVersion(_) => "protocol version reply",
+            Reply::ControllerVersion(_) => "controller version",
+            Reply::Text(_) => "text",
+            Reply::SetupOutputs { .. } => "output set-up reply",
+            Reply::SetupInputs { .. } => "input set-up reply",
+            Reply::Start(_) => "start reply",
+            Reply::Pause(_) => "pause reply",
+            Reply::Data { .. } => "data package",
+        }
+    }
+
     /// The whole package.
     pub fn encode(&self, version: Version) -> Vec<u8> {
         let mut out = Writer::new();

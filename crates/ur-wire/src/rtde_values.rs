@@ -163,20 +163,25 @@ impl Value {
         }
     }
 
-    /// False if a double in it is NaN or infinite.
-    pub fn is_finite(&self) -> bool {
+    /// The doubles in it, none if it is of another type.
+    pub fn doubles(&self) -> &[f64] {
         match self {
-            Value::Double(value) => value.is_finite(),
-            Value::Vector3D(values) => values.iter().all(|value| value.is_finite()),
-            Value::Vector6D(values) => values.iter().all(|value| value.is_finite()),
+            Value::Double(value) => std::slice::from_ref(value),
+            Value::Vector3D(values) => values,
+            Value::Vector6D(values) => values,
             Value::Bool(_)
             | Value::Uint8(_)
             | Value::Uint32(_)
             | Value::Int32(_)
             | Value::Uint64(_)
             | Value::Vector6Int32(_)
-            | Value::Vector6Uint32(_) => true,
+            | Value::Vector6Uint32(_) => &[],
         }
+    }
+
+    /// False if a double in it is NaN or infinite.
+    pub fn is_finite(&self) -> bool {
+        self.doubles().iter().all(|value| value.is_finite())
     }
 
     /// Appends the value's bytes.

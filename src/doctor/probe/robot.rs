@@ -207,6 +207,9 @@ fn rtde(host: &str, clock: &Clock) -> Result<RtdeFacts, LinkFault> {
                     facts.taken = Some(taken);
                     return Ok(facts);
                 }
+                RtdeEvent::Jump(detail) => {
+                    facts.messages.push(format!("the arm's position jumped: {detail}"));
+                }
                 RtdeEvent::Message(text) => facts.messages.push(text),
                 RtdeEvent::Fault(cause) => return Err(LinkFault::Broken(cause)),
                 RtdeEvent::Silent(cause) => return Err(LinkFault::Silent(cause)),

@@ -14,6 +14,7 @@ pub mod program;
 
 pub mod rtde_recipes;
 
+pub mod rtde_jump;
 pub mod rtde_session;
 
 pub mod dashboard_session;

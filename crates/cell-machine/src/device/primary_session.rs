@@ -19,6 +19,9 @@ const FIRST_WITHIN: Duration = Duration::from_secs(10);
 /// interface guide reserves it; its first word is known from the maker's forum (thread 988). It is sent only
 /// where safety settings are applied, so its absence means nothing.
 const SAFETY_DATA: u8 = 10;
+/// No length (m) or angle (rad) of a calibrated arm is larger. Shoulder and elbow turn about nearly parallel
+/// axes: their calibrated offsets are hundreds of metres that cancel each other.
+const KINEMATICS_MAX: f64 = 1e6;
 /// Error codes below are for developers.
 const WARNING: i32 = 2;
 /// Error codes from here on are developer variants of lower ones.
@@ -211,8 +214,9 @@ impl PrimarySession {
             return;
         }
         let numbers = [data.theta, data.a, data.d, data.alpha];
-        if numbers.as_flattened().iter().any(|value| !value.is_finite()) {
-            return self.fault("the arm's kinematics hold a number that is not finite".into());
+        let possible = |value: &f64| value.is_finite() && value.abs() <= KINEMATICS_MAX;
+        if let Some(wrong) = numbers.as_flattened().iter().find(|value| !possible(value)) {
+            return self.fault(format!("the arm's kinematics hold an impossible number: {wrong:e}"));
         }
         self.kinematics_seen = true;
         self.outbox.report(PrimaryEvent::Kinematics(Box::new(data)));

@@ -80,6 +80,8 @@ pub struct Robot {
     stop_written_for: Option<i32>,
     exception: Option<ProgramEnd>,
     faults: VecDeque<Timestamp>,
+    /// When a jump of a joint was reported last.
+    jumped: Option<Timestamp>,
     /// Time of the last advance.
     last_advance: Timestamp,
     /// Time of the last call, for how old a state is.
@@ -119,6 +121,7 @@ impl Robot {
             stop_written_for: None,
             exception: None,
             faults: VecDeque::new(),
+            jumped: None,
             last_advance: Timestamp::ZERO,
             clock: Timestamp::ZERO,
             events: VecDeque::new(),

@@ -475,6 +475,11 @@ pub enum RobotEvent {
         /// Which.
         detail: String,
     },
+    /// A joint is where it cannot have turned to since the state before.
+    JointJump {
+        /// Which, and by how much.
+        detail: String,
+    },
     /// The peer broke the protocol. The link is dropped unless only a value is unknown.
     ProtocolFault {
         /// Which link.

@@ -5,18 +5,20 @@
 //! command with its arguments (one package, hence one controller frame), and the mark of this process. Where
 //! they are taken, the state is read for a moment without them: the mark of another celld is in it.
 //!
-//! Anything malformed, a NaN included, is a fault that drops the link: after it nothing on it can be
-//! trusted.
+//! Anything malformed, a NaN or a number that no arm can have included, is a fault that drops the link:
+//! after it nothing on it can be trusted.
 
 use crate::device::outbox::Outbox;
 use crate::device::registers::{CommandRegisters, mark_of, process_of};
 use crate::device::robot_types::{InputsTaken, RobotState};
+use crate::device::rtde_jump::Jump;
 use crate::device::rtde_recipes::{
     COMMAND, HEARTBEAT, OWNER, Refusal, agree, input_names, mark_in, output_names, state_of,
 };
 use cell_values::time::{Duration, Timestamp};
 use serde::{Deserialize, Serialize};
 use ur_wire::rtde::{Reply, Request, Splitter, Version};
+use ur_wire::rtde_ranges;
 use ur_wire::rtde_values::{Leftover, Offer, Recipe, Value};
 use ur_wire::rtde_variables::output_type;
 
@@ -53,6 +55,8 @@ pub enum RtdeEvent {
     },
     /// A text for a person.
     Message(String),
+    /// A joint is where it cannot have turned to since the package before: which, and by how much.
+    Jump(String),
     /// The link is dropped because of this.
     Fault(String),
     /// The link is dropped because nothing came for this long.
@@ -363,7 +367,7 @@ impl RtdeSession {
             // On its way when the stream was paused.
             (Reply::Data { .. }, Step::RequestedInputs { attempt: 2.., .. }) => {}
             (unexpected, _) => {
-                let kind = reply_name(&unexpected);
+                let kind = unexpected.name();
                 self.fault(format!("unexpected {kind} while waiting for {}", self.waiting_for()));
             }
         }
@@ -398,7 +402,7 @@ impl RtdeSession {
             // A controller that does not start shows no owner; that is no fault.
             (Reply::Start(_) | Reply::Data { .. }, _) => {}
             (unexpected, _) => {
-                let kind = reply_name(&unexpected);
+                let kind = unexpected.name();
                 self.fault(format!("unexpected {kind} while waiting for {}", self.waiting_for()));
             }
         }
@@ -448,9 +452,9 @@ impl RtdeSession {
             Ok(values) => values,
             Err(error) => return self.fault(error.to_string()),
         };
-        let broken = self.outputs.fields.iter().zip(&values).find(|(_, value)| !value.is_finite());
-        if let Some(((name, _), _)) = broken {
-            return self.fault(format!("{name} is not a finite number"));
+        let mut fields = self.outputs.fields.iter().zip(&values);
+        if let Err(fault) = fields.try_for_each(|((name, _), value)| rtde_ranges::check(name, value)) {
+            return self.fault(fault.to_string());
         }
         match state_of(now, &values) {
             Some(state) => self.new_state(now, state),
@@ -465,10 +469,15 @@ impl RtdeSession {
         if step_s < 0.0 {
             return self.fault(format!("controller time jumped back by {:.3} s: it has restarted", -step_s));
         }
+        let jump = before.filter(|_| self.ready()).and_then(|before| Jump::between(before, &state));
         // A package whose time does not advance proves nothing about now.
         let received = before.filter(|_| step_s == 0.0).map_or(state.received, |before| before.received);
         let settled_by_time = state.controller_time_s > SETTLED_AT_S;
         self.latest = Some(RobotState { received, ..state });
+        // The link stays: the quickest stop goes over it.
+        if let Some(jump) = jump {
+            self.outbox.report(RtdeEvent::Jump(jump.to_string()));
+        }
         if let Step::Streaming { last_package, packages, settled } = &mut self.step {
             *last_package = now;
             *packages = packages.saturating_add(1);
@@ -479,18 +488,5 @@ impl RtdeSession {
             }
             self.write_mark(now);
         }
-    }
-}
-
-fn reply_name(reply: &Reply) -> &'static str {
-    match reply {
-        Reply::ProtocolVersion(_) => "protocol version reply",
-        Reply::ControllerVersion(_) => "controller version",
-        Reply::Text(_) => "text",
-        Reply::SetupOutputs { .. } => "output set-up reply",
-        Reply::SetupInputs { .. } => "input set-up reply",
-        Reply::Start(_) => "start reply",
-        Reply::Pause(_) => "pause reply",
-        Reply::Data { .. } => "data package",
     }
 }

@@ -190,11 +190,14 @@ impl Supervisor {
             | RobotEvent::Message { .. }
             | RobotEvent::LinkSilent { .. }
             | RobotEvent::ArmStalled { .. }
+            | RobotEvent::JointJump { .. }
             | RobotEvent::ProtocolFault { .. } => {}
         }
         self.note_for_the_way_back(now, &event);
         let Some(reason) = self.fault_of(devices, event) else { return };
-        let moves = self.moving() || matches!(self.phase, Phase::BringUp(_));
+        // Nobody can say of an arm whose position jumps that it rests.
+        let jumped = reason.code == Code::JointJump && self.mode.armed();
+        let moves = jumped || self.moving() || matches!(self.phase, Phase::BringUp(_));
         if reason.code == Code::HeartbeatLost {
             self.interrupt(now, reason, out);
         } else if moves {

@@ -54,6 +54,7 @@ impl Supervisor {
             | RobotEvent::Message { .. }
             | RobotEvent::LinkSilent { .. }
             | RobotEvent::ArmStalled { .. }
+            | RobotEvent::JointJump { .. }
             | RobotEvent::ProtocolFault { .. } => {}
         }
     }

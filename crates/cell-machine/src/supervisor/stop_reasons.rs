@@ -74,6 +74,10 @@ impl Supervisor {
                 let first = "see what holds the arm, and the pendant";
                 self.reason_of(Code::ArmStalled, format!("the arm does not follow: {detail}"), first)
             }
+            RobotEvent::JointJump { detail } => {
+                let first = "look at the arm, and at the pendant for a fault of this joint";
+                self.reason_of(Code::JointJump, format!("the arm's position jumped: {detail}"), first)
+            }
             RobotEvent::RtdeLost => self.rtde_lost(devices),
             RobotEvent::Refused { what, reply } => {
                 let message = format!("{what} was not carried out by the controller: {reply}");

@@ -588,6 +588,7 @@ mod arming;
 mod faults;
 mod foreign;
 mod improve;
+mod jump;
 mod lapse;
 mod moving;
 mod preview;

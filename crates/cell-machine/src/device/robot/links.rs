@@ -17,6 +17,8 @@ use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 const POWERED_WITHIN: Duration = Duration::from_secs(15);
 /// An arm that has been off for so long after `power off` was accepted stays off.
 const STAYS_OFF: Duration = Duration::from_secs(1);
+/// Jumps of a joint that follow sooner are the same one.
+const JUMPS_AGAIN_AFTER: Duration = Duration::from_secs(1);
 
 impl Robot {
     /// Takes everything the link sessions have to say.
@@ -46,6 +48,7 @@ impl Robot {
             RtdeEvent::Ready => self.report(RobotEvent::RtdeReady),
             RtdeEvent::InUse { taken, attempt } => self.report(RobotEvent::InputInUse { taken, attempt }),
             RtdeEvent::Message(text) => self.report(RobotEvent::Message { text }),
+            RtdeEvent::Jump(detail) => self.joint_jumped(now, detail),
             RtdeEvent::Silent(detail) => {
                 self.report(RobotEvent::LinkSilent { link: Link::Rtde, detail });
                 self.rtde_gone(now);
@@ -54,6 +57,19 @@ impl Robot {
                 self.report_fault(now, Link::Rtde, detail);
                 self.rtde_gone(now);
             }
+        }
+    }
+
+    /// Where the arm is cannot be trusted: a program of ours is stopped here already. While none may move it,
+    /// positions that jump with every package are reported once a second.
+    fn joint_jumped(&mut self, now: Timestamp, detail: String) {
+        let moves = self.program.may_move();
+        if moves || self.jumped.is_none_or(|at| now.since(at) >= JUMPS_AGAIN_AFTER) {
+            self.jumped = Some(now);
+            self.report(RobotEvent::JointJump { detail });
+        }
+        if moves {
+            self.stop(now);
         }
     }
 

@@ -93,6 +93,16 @@ impl Program {
         }
     }
 
+    /// It may begin or go on with a motion.
+    pub fn may_move(&self) -> bool {
+        match self {
+            Program::Clearing { .. } | Program::Starting { .. } | Program::Running { .. } => true,
+            Program::Absent | Program::Stopping { .. } | Program::Ending { .. } | Program::Halting { .. } => {
+                false
+            }
+        }
+    }
+
     pub fn wants_heartbeat(&self) -> bool {
         self.reads_registers()
     }

@@ -41,6 +41,7 @@ pub struct Fake {
     pub dashboard_lines: Vec<String>,
     queue: VecDeque<(i32, i32, [f64; 6])>,
     busy_frames: u32,
+    segment_from: [f64; 6],
     silent_frames: u32,
     /// The program that runs, by nonce.
     pub program: Option<i32>,
@@ -52,6 +53,10 @@ pub struct Fake {
     pub mute_primary: bool,
     pub frozen_time: bool,
     pub nan_in_q: bool,
+    /// Offset along each axis in the kinematics.
+    pub link_m: f64,
+    /// Sent in place of the true value.
+    pub broken: Option<(&'static str, Value)>,
     pub remote: bool,
     pub answers: BTreeMap<String, String>,
     pub ignore_uploads: bool,
@@ -91,6 +96,7 @@ impl Fake {
             dashboard_lines: Vec::new(),
             queue: VecDeque::new(),
             busy_frames: 0,
+            segment_from: [0.0; 6],
             silent_frames: 0,
             program: None,
             in_use: Vec::new(),
@@ -100,6 +106,8 @@ impl Fake {
             mute_primary: false,
             frozen_time: false,
             nan_in_q: false,
+            link_m: 0.1625,
+            broken: None,
             remote: true,
             answers: BTreeMap::new(),
             ignore_uploads: false,
@@ -130,7 +138,8 @@ impl Fake {
             Link::Primary => {
                 self.primary_up = true;
                 self.message(MessageBody::Text("hello".into()));
-                let kinematics = KinematicsData { checksum: [9; 6], d: [0.1625; 6], ..Default::default() };
+                let kinematics =
+                    KinematicsData { checksum: [9; 6], d: [self.link_m; 6], ..Default::default() };
                 let package = Package::RobotState(vec![SubPackage::Kinematics(kinematics)]);
                 self.send(Link::Primary, package.encode());
             }
@@ -415,8 +424,14 @@ impl Fake {
             }
             return;
         };
+        if self.busy_frames == 0 {
+            self.segment_from = self.q;
+        }
         self.busy_frames += 1;
         if opcode <= 2 && self.busy_frames < self.segment_frames {
+            let share = f64::from(self.busy_frames) / f64::from(self.segment_frames);
+            let from = self.segment_from;
+            self.q = std::array::from_fn(|joint| from[joint] + share * (arguments[joint] - from[joint]));
             return;
         }
         self.busy_frames = 0;
@@ -439,6 +454,7 @@ impl Fake {
             q[2] = f64::NAN;
         }
         let value = |name: &str| match name {
+            _ if self.broken.is_some_and(|(broken, _)| broken == name) => self.broken.unwrap().1,
             "timestamp" => Value::Double(self.time_s),
             "actual_q" => Value::Vector6D(q),
             "robot_mode" => Value::Int32(self.robot_mode),

@@ -1,5 +1,6 @@
 //! The robot session against a scripted controller, in virtual time.
 
+mod broken_states;
 mod fake;
 mod handshake;
 mod running;
