@@ -74,6 +74,7 @@ pub struct RunArgs {
 /// Runs the daemon until Ctrl-C or SIGTERM; returns the exit code.
 pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
     cell_edge::log::log_panics();
+    cell_edge::reserve::raise_limit();
     cell_edge::reserve::fill();
     let read = start_with(&args.config, &args.state).and_then(|(config, shared)| {
         let calibration = read_calibration(&config)?;

@@ -6,12 +6,14 @@
 //! connection. Without viewers no picture is taken; a recording as the camera has no film.
 
 use crate::daemon::film::{Shown, Watching};
+use crate::page::access::Person;
 use crate::page::calibration::found::Finder;
+use crate::page::connections::{IsStream, Seat};
 use crate::page::guard::{refusal, secret};
 use crate::page::screen::{BOUNDARY, Part};
 use crate::page::shared::{App, Shared};
 use axum::body::{Body, Bytes};
-use axum::extract::State;
+use axum::extract::{Extension, State};
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
@@ -23,8 +25,8 @@ use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
 
-/// Who watch at a time.
-const VIEWERS: usize = 30;
+/// Viewers at a time, percent of all connections, and of one session.
+pub const FILM_STREAMS: (usize, usize) = (15, 12);
 
 /// How often it is checked whether a viewer is still signed in.
 const SIGNED_IN_EVERY: Duration = Duration::from_millis(200);
@@ -56,6 +58,7 @@ struct Viewer {
     requested: Instant,
     _watching: Watching,
     begun: bool,
+    _seat: Seat,
 }
 
 impl Viewer {
@@ -83,16 +86,23 @@ impl Viewer {
 }
 
 /// `GET /api/v1/film`
-pub async fn film(State(app): State<App>, headers: HeaderMap) -> Response {
+pub async fn film(
+    State(app): State<App>,
+    Extension(person): Extension<Person>,
+    headers: HeaderMap,
+) -> Response {
     if app.cell.devices.camera.is_recording() {
         return refusal(StatusCode::NOT_FOUND, "the camera is a recording: it has no film");
     }
-    if app.film.viewers() >= VIEWERS {
-        return refusal(StatusCode::SERVICE_UNAVAILABLE, "too many watch the film");
-    }
+    let seat = match app.film_streams.open(&person.session) {
+        Ok(seat) => seat,
+        Err(why) => return refusal(StatusCode::SERVICE_UNAVAILABLE, why),
+    };
     let secret = secret(&app, &headers).map(|(secret, _)| secret).unwrap_or_default();
     let (watching, parts) = (app.film.watch(), app.screen.parts());
-    let viewer = Viewer { app, secret, parts, requested: Instant::now(), _watching: watching, begun: false };
+    let requested = Instant::now();
+    let viewer = Viewer { app, secret, parts, requested, _watching: watching, begun: false, _seat: seat };
     let body = Body::from_stream(stream::unfold(viewer, Viewer::next));
-    ([(CONTENT_TYPE, format!("multipart/x-mixed-replace; boundary={BOUNDARY}"))], body).into_response()
+    let kind = format!("multipart/x-mixed-replace; boundary={BOUNDARY}");
+    (Extension(IsStream), [(CONTENT_TYPE, kind)], body).into_response()
 }

@@ -6,6 +6,7 @@
 //! refused is logged with its path and without its secrets.
 
 use crate::page::access::Person;
+use crate::page::connections::Place;
 use crate::page::limits::{host_is_ours, origin_is_ours};
 use crate::page::shared::App;
 use axum::Json;
@@ -165,6 +166,13 @@ fn unfit(app: &App, request: &Request) -> Option<Response> {
         None => peer(request).to_string(),
     };
     let is_order = person.is_some() && request.uri().path() == "/api/v1/orders";
+    let place = request.extensions().get::<Place>();
+    let has_room =
+        place.zip(person.as_ref()).is_none_or(|(place, (person, _))| place.signed_in(&person.session));
+    if !is_order && !has_room {
+        let why = "too many requests of this session at a time; wait a little";
+        return Some(refusal(StatusCode::SERVICE_UNAVAILABLE, why));
+    }
     if !is_order && !app.limits().request(&source, now) {
         // Not logged: there may be thousands.
         return Some(refusal(StatusCode::TOO_MANY_REQUESTS, "too many requests; wait a little"));

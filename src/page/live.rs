@@ -6,6 +6,7 @@
 use crate::daemon::plan_files;
 use crate::jobs::status::STARTING;
 use crate::page::access::Person;
+use crate::page::connections::{IsStream, Seat};
 use crate::page::control::Holder;
 use crate::page::feed::Message;
 use crate::page::guard::{refusal, secret};
@@ -29,8 +30,8 @@ use tokio::sync::broadcast;
 /// How often a stream shows that it lives.
 const BEAT_EVERY: Duration = Duration::from_millis(500);
 
-/// Streams at a time.
-const VIEWERS: usize = 60;
+/// Streams at a time, percent of all connections, and of one session.
+pub const EVENT_STREAMS: (usize, usize) = (30, 24);
 
 /// Of JPEG, for pictures that are looked at.
 const QUALITY: u8 = 80;
@@ -156,6 +157,7 @@ struct Viewer {
     /// Who has control, as it was shown last.
     holder: Option<Holder>,
     beat: tokio::time::Interval,
+    _seat: Seat,
 }
 
 impl Viewer {
@@ -225,17 +227,18 @@ pub async fn events(
     headers: HeaderMap,
 ) -> Response {
     let secret = secret(&app, &headers).map(|(secret, _)| secret).unwrap_or_default();
-    if app.feed.viewers() >= VIEWERS {
-        return refusal(StatusCode::SERVICE_UNAVAILABLE, "too many viewers");
-    }
+    let seat = match app.event_streams.open(&person.session) {
+        Ok(seat) => seat,
+        Err(why) => return refusal(StatusCode::SERVICE_UNAVAILABLE, why),
+    };
     // Subscribed first: what happens meanwhile comes twice rather than not at all.
     let messages = app.feed.messages();
     let mut beat = tokio::time::interval(BEAT_EVERY);
     beat.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
     let holder = app.control().holder(Instant::now()).cloned();
     let (first, session) = (so_far(&app, holder.as_ref()), person.session);
-    let viewer = Viewer { app, session, secret, messages, first, holder, beat };
+    let viewer = Viewer { app, session, secret, messages, first, holder, beat, _seat: seat };
     let stream: std::pin::Pin<Box<dyn Stream<Item = _> + Send>> =
         Box::pin(stream::unfold(viewer, Viewer::next));
-    Sse::new(stream).into_response()
+    (Extension(IsStream), Sse::new(stream)).into_response()
 }

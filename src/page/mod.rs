@@ -6,7 +6,8 @@
 //! `routes`: the table of addresses; `session`, `live`, `work`, `again`, `shift`, `records`, `markers`,
 //! `metrics`: what answers there; `film` with `screen`: the camera's pictures as they come;
 //! `calibration`: guided steps; `drafts`: goals set by hand; `orders`: on their way to the machine;
-//! `openapi`: the API in a document; `server`: connections; `assets`: the browser's part, plain scripts
+//! `openapi`: the API in a document; `server` with `places` and `connections`: who is connected, and who
+//! is cut; `assets`: the browser's part, plain scripts
 //! without a build step; `texts`: other languages.
 //!
 //! It decides nothing about the cell: orders go where those of command files go, jobs the way of job files,
@@ -17,6 +18,7 @@ mod again;
 pub mod app;
 pub(crate) mod assets;
 pub mod calibration;
+pub(crate) mod connections;
 pub mod control;
 pub mod drafts;
 pub mod feed;
@@ -28,6 +30,7 @@ mod markers;
 mod metrics;
 pub mod openapi;
 pub mod orders;
+pub(crate) mod places;
 mod records;
 pub mod routes;
 pub mod screen;

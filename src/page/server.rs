@@ -4,31 +4,25 @@
 //! lower priority: whatever a viewer does, the loop that keeps the robot's heartbeat does not notice.
 
 use crate::config::page::{PageConfig, TlsFiles};
+use crate::page::connections::{Connections, Place, followed};
 use crate::page::guard::Ends;
 use axum::extract::ConnectInfo;
+use axum::middleware::from_fn_with_state;
 use axum::{Extension, Router};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
-use std::collections::HashMap;
-use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::Semaphore;
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::rustls::ServerConfig;
 use tokio_rustls::rustls::pki_types::pem::PemObject;
 use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
 
-/// Connections at a time: a browser opens six.
-const CONNECTIONS: usize = 200;
-
-/// The same of one computer: others find room.
-const OF_ONE: usize = 120;
-
 /// The head of a request, and a TLS handshake, are there within this time.
-const HEAD_WITHIN: Duration = Duration::from_secs(10);
+const HEAD_WITHIN: Duration = Duration::from_secs(2);
 
 /// What was sent and not read for so long ends the connection.
 const UNREAD_WITHIN: Duration = Duration::from_secs(10);
@@ -111,28 +105,19 @@ impl Listening {
         let Ok(listener) = TcpListener::from_std(self.listener) else {
             return tracing::error!("the page's address was lost");
         };
-        let places = Arc::new(Semaphore::new(CONNECTIONS));
-        let mut per_computer: HashMap<IpAddr, Arc<Semaphore>> = HashMap::new();
+        let connections = Connections::default();
         loop {
             let (stream, peer) = match listener.accept().await {
                 Ok(accepted) => accepted,
                 Err(error) => {
-                    // Out of handles, say: others may close theirs.
+                    // Out of handles, say: another connection gives up its own.
                     tracing::warn!(%error, "page: a connection could not be accepted");
+                    connections.cut_one();
                     tokio::time::sleep(Duration::from_millis(200)).await;
                     continue;
                 }
             };
-            let mine = per_computer.entry(peer.ip()).or_insert_with(|| Arc::new(Semaphore::new(OF_ONE)));
-            let of_one = mine.clone().try_acquire_owned();
-            if per_computer.len() > CONNECTIONS {
-                per_computer.retain(|_, places| places.available_permits() < OF_ONE);
-            }
-            let Ok(of_one) = of_one else {
-                tracing::warn!(%peer, "page: too many connections of one computer");
-                continue;
-            };
-            let Ok(place) = places.clone().try_acquire_owned() else {
+            let Some(place) = connections.arrive(peer.ip()) else {
                 tracing::warn!(%peer, "page: too many connections");
                 continue;
             };
@@ -143,20 +128,26 @@ impl Listening {
             let here = near.is_some_and(|near| near.ip() == peer.ip());
             let peer = if here { SocketAddr::new(Ipv4Addr::LOCALHOST.into(), peer.port()) } else { peer };
             let router = ends.map_or_else(|| router.clone(), |ends| router.clone().layer(Extension(ends)));
-            let tls = self.tls.clone();
-            tokio::spawn(async move {
-                let _places = (place, of_one);
-                match tls {
-                    None => connection(stream, peer, router).await,
-                    Some(tls) => {
-                        let secured = tokio::time::timeout(HEAD_WITHIN, tls.accept(stream)).await;
-                        if let Ok(Ok(secured)) = secured {
-                            connection(secured, peer, router).await;
-                        }
-                    }
-                }
-            });
+            let router = router.layer(from_fn_with_state(place.clone(), followed));
+            let served = secured(stream, self.tls.clone(), peer, router);
+            tokio::spawn(until_cut(served, place));
         }
+    }
+}
+
+/// Serves a connection until it ends, or until its place is for another one.
+async fn until_cut(served: impl Future<Output = ()>, place: Place) {
+    tokio::select! {
+        () = served => {}
+        () = place.cut() => tracing::debug!("page: a connection was cut for a new one"),
+    }
+}
+
+/// Serves a connection behind TLS, where there is TLS.
+async fn secured(stream: TcpStream, tls: Option<TlsAcceptor>, peer: SocketAddr, router: Router) {
+    let Some(tls) = tls else { return connection(stream, peer, router).await };
+    if let Ok(Ok(secured)) = tokio::time::timeout(HEAD_WITHIN, tls.accept(stream)).await {
+        connection(secured, peer, router).await;
     }
 }
 
@@ -269,5 +260,69 @@ mod tests {
         let nowhere = TlsFiles { certificate: "/nowhere/c.pem".into(), key: "/nowhere/k.pem".into() };
         let message = Listening::open(&page(Some(nowhere))).err().expect("no file").to_string();
         assert!(message.contains("/nowhere/c.pem"), "{message}");
+    }
+
+    /// A connection to the page from an address of its own, with a request or a part of one.
+    fn from(last: usize, page: SocketAddr, request: &[u8]) -> std::net::TcpStream {
+        let socket =
+            socket2::Socket::new(socket2::Domain::IPV4, socket2::Type::STREAM, None).expect("a socket");
+        socket.set_recv_buffer_size(4096).expect("a small buffer");
+        let address = Ipv4Addr::new(127, 1, u8::try_from(last / 200).expect("few"), 1 + (last % 200) as u8);
+        socket.bind(&SocketAddr::from((address, 0)).into()).expect("bound");
+        socket.connect(&page.into()).expect("connected");
+        let mut stream = std::net::TcpStream::from(socket);
+        stream.set_read_timeout(Some(Duration::from_secs(60))).expect("a timeout");
+        // One that is cut may be gone already.
+        let _ = stream.write_all(request);
+        stream
+    }
+
+    fn answer(mut stream: std::net::TcpStream) -> String {
+        let mut answer = Vec::new();
+        let _ = stream.read_to_end(&mut answer);
+        String::from_utf8_lossy(&answer).into_owned()
+    }
+
+    #[test]
+    fn an_order_is_answered_among_slow_heads_and_unread_answers() {
+        const STRANGERS: usize = 220;
+        /// More than both ends buffer.
+        static BYTES: [u8; 1 << 20] = [b'x'; 1 << 20];
+        const LARGE: &[u8] = &BYTES;
+        cell_edge::reserve::raise_limit();
+        let (begun, has_begun) = std::sync::mpsc::channel();
+        let release = Arc::new(tokio::sync::Notify::new());
+        let hold = release.clone();
+        let order = |place: Extension<Place>| async move {
+            place.signed_in("anna");
+            "ordered"
+        };
+        let held = move |place: Extension<Place>| async move {
+            place.signed_in("ben");
+            let _ = begun.send(());
+            hold.notified().await;
+            "held"
+        };
+        let routes = Router::new()
+            .route("/order", axum::routing::get(order))
+            .route("/held", axum::routing::get(held))
+            .route("/large", axum::routing::get(|| async { LARGE }));
+        let listening = Listening::open(&page(None)).unwrap();
+        let address = listening.address().unwrap();
+        listening.serve(|| routes).unwrap();
+        let request =
+            |path: &str| format!("GET {path} HTTP/1.1\r\nhost: a\r\nconnection: close\r\n\r\n").into_bytes();
+        let in_work = from(0, address, &request("/held"));
+        has_begun.recv_timeout(Duration::from_secs(60)).expect("it is served");
+
+        for stranger in [b"GET / HTTP/1.1\r\nhost: ".to_vec(), request("/large")] {
+            let strangers: Vec<_> = (1..=STRANGERS).map(|last| from(last, address, &stranger)).collect();
+            // Accepted after all of them.
+            let answer = answer(from(STRANGERS + 1, address, &request("/order")));
+            assert!(answer.starts_with("HTTP/1.1 200") && answer.ends_with("ordered"), "{answer}");
+            drop(strangers);
+        }
+        release.notify_one();
+        assert!(answer(in_work).ends_with("held"), "a request of a session is not cut");
     }
 }

@@ -9,9 +9,12 @@ use crate::daemon::film::{Film, Shown};
 use crate::jobs::state::StateFolder;
 use crate::page::access::Access;
 use crate::page::calibration::bench::Bench;
+use crate::page::connections::StreamPlaces;
 use crate::page::control::Control;
 use crate::page::feed::Feed;
+use crate::page::film::FILM_STREAMS;
 use crate::page::limits::Limits;
+use crate::page::live::EVENT_STREAMS;
 use crate::page::orders::OrderSender;
 use crate::page::screen::Screen;
 use crate::page::texts::Texts;
@@ -79,6 +82,10 @@ pub struct Shared {
     pub texts: Texts,
     /// Plans are made one at a time.
     pub planning: Arc<Semaphore>,
+    /// Places for streams of events.
+    pub event_streams: StreamPlaces,
+    /// Places for viewers of the film.
+    pub film_streams: StreamPlaces,
     /// Orders that were carried out, and refused.
     pub orders: [AtomicU64; 2],
     /// The API in a document.
@@ -117,6 +124,8 @@ impl Shared {
             begun_unix_ms,
             texts: setup.texts,
             planning: Arc::new(Semaphore::new(1)),
+            event_streams: StreamPlaces::new(EVENT_STREAMS.0, EVENT_STREAMS.1),
+            film_streams: StreamPlaces::new(FILM_STREAMS.0, FILM_STREAMS.1),
             orders: Default::default(),
             document,
             access: Mutex::new(Access::of_file(&text.unwrap_or_default(), unix_now_s())),

@@ -4,6 +4,7 @@
 //! from the reserve is given up and the call is tried again. The reserve is filled again as handles become
 //! free. It is opened at the start, so its numbers stay below a limit that is lowered later.
 
+use rustix::process::{Resource, getrlimit, setrlimit};
 use std::fs::File;
 use std::io;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -15,6 +16,20 @@ static RESERVE: Mutex<Vec<File>> = Mutex::new(Vec::new());
 
 fn reserve() -> MutexGuard<'static, Vec<File>> {
     RESERVE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// File handles that this process may have open.
+pub fn limit() -> usize {
+    getrlimit(Resource::Nofile).current.map_or(usize::MAX, |most| usize::try_from(most).unwrap_or(usize::MAX))
+}
+
+/// Raises that limit as far as the system allows without privileges.
+pub fn raise_limit() {
+    let mut limit = getrlimit(Resource::Nofile);
+    limit.current = limit.maximum;
+    if let Err(error) = setrlimit(Resource::Nofile, limit) {
+        tracing::debug!(%error, "the limit of file handles stays as it is");
+    }
 }
 
 /// Fills the reserve as far as handles are left. Without a call of this there is no reserve.
@@ -55,6 +70,13 @@ fn is_out_of_handles(error: &io::Error) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_limit_of_handles_is_raised_to_the_most_that_is_allowed() {
+        raise_limit();
+        let allowed = getrlimit(Resource::Nofile).maximum;
+        assert_eq!(limit(), allowed.map_or(usize::MAX, |most| usize::try_from(most).unwrap_or(usize::MAX)));
+    }
 
     #[test]
     fn without_handles_the_reserve_is_used_and_an_empty_reserve_is_an_error() {

@@ -1,0 +1,309 @@
+//! Places for connections and streams: which connection is cut for a new one, and what is refused.
+//!
+//! In: connections that arrive and what each one does, by the time. Out: a place, with the connection that is
+//! cut for it, or a refusal. A request of a signed-in session is never cut while it is served, so an order
+//! finds a place however many slow heads and unread answers there are. Streams have places of their own,
+//! fewer than all. Pure.
+
+use std::collections::HashMap;
+use std::net::IpAddr;
+use std::time::{Duration, Instant};
+
+/// Connections at a time: a browser opens six.
+const CONNECTIONS: usize = 200;
+
+/// Connections of one computer, in percent of all.
+const OF_ONE_PERCENT: usize = 60;
+
+/// Requests of one session that are served at a time, in percent of all connections.
+const OF_SESSION_PERCENT: usize = 20;
+
+/// An answer that its reader does not take within this time gives its place up for a new connection.
+const READ_WITHIN: Duration = Duration::from_secs(2);
+
+/// How many connections a process with so many file handles has: the other half is for the cell.
+pub fn most_connections(handles: usize) -> usize {
+    CONNECTIONS.min(handles / 2)
+}
+
+/// What a connection does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Doing {
+    /// It waits for the head of a request.
+    AwaitsHead,
+    /// A request is carried out.
+    Serves,
+    /// The answer is sent.
+    Answers,
+    /// The answer is a stream, which has a place of its own.
+    Streams,
+}
+
+/// A connection that has a place.
+#[derive(Debug)]
+struct Held {
+    id: u64,
+    computer: IpAddr,
+    doing: Doing,
+    since: Instant,
+    /// The session of its last request.
+    session: Option<String>,
+}
+
+impl Held {
+    /// The lowest is cut first; `None` is not cut.
+    fn rank(&self, now: Instant) -> Option<u8> {
+        match (self.doing, self.session.is_some()) {
+            (Doing::AwaitsHead, false) => Some(0),
+            (Doing::AwaitsHead, true) => Some(1),
+            (Doing::Serves | Doing::Answers, false) => Some(2),
+            (Doing::Answers, true) if now.duration_since(self.since) >= READ_WITHIN => Some(3),
+            (Doing::Serves | Doing::Answers, true) | (Doing::Streams, _) => None,
+        }
+    }
+}
+
+/// What comes of a connection that arrives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Arrival {
+    /// It has a place; another connection is cut where there was none left.
+    Taken {
+        /// Its number.
+        id: u64,
+        /// The one that is cut.
+        cut: Option<u64>,
+    },
+    /// All places serve requests.
+    Refused,
+}
+
+/// All connections.
+#[derive(Debug, Default)]
+pub struct Table {
+    held: Vec<Held>,
+    last: u64,
+}
+
+impl Table {
+    /// A connection arrives; `most`: how many there may be now.
+    pub fn arrive(&mut self, computer: IpAddr, most: usize, now: Instant) -> Arrival {
+        let of_one = self.held.iter().filter(|held| held.computer == computer).count();
+        let cut = if of_one >= (most * OF_ONE_PERCENT / 100).max(1) {
+            self.cut(now, |held| held.computer == computer)
+        } else if self.held.len() >= most {
+            self.cut(now, |_| true)
+        } else {
+            return Arrival::Taken { id: self.enter(computer, now), cut: None };
+        };
+        match cut {
+            Some(_) => Arrival::Taken { id: self.enter(computer, now), cut },
+            None => Arrival::Refused,
+        }
+    }
+
+    fn enter(&mut self, computer: IpAddr, now: Instant) -> u64 {
+        self.last += 1;
+        let doing = Doing::AwaitsHead;
+        self.held.push(Held { id: self.last, computer, doing, since: now, session: None });
+        self.last
+    }
+
+    /// Takes the place of the connection that is missed least, of those wanted.
+    fn cut(&mut self, now: Instant, wanted: impl Fn(&Held) -> bool) -> Option<u64> {
+        let ranked = self.held.iter().enumerate().filter(|(_, held)| wanted(held));
+        let ranked = ranked.filter_map(|(index, held)| Some((held.rank(now)?, held.since, index)));
+        let (_, _, index) = ranked.min()?;
+        Some(self.held.remove(index).id)
+    }
+
+    /// Takes the place of any connection that may be cut: the process is out of handles.
+    pub fn cut_one(&mut self, now: Instant) -> Option<u64> {
+        self.cut(now, |_| true)
+    }
+
+    /// A connection does something else now. With a new request its session is not known yet.
+    pub fn turns_to(&mut self, id: u64, doing: Doing, now: Instant) {
+        if let Some(held) = self.held.iter_mut().find(|held| held.id == id) {
+            (held.doing, held.since) = (doing, now);
+            if doing == Doing::Serves {
+                held.session = None;
+            }
+        }
+    }
+
+    /// The request on this connection belongs to a session; false if the session has too many at a time.
+    pub fn signed_in(&mut self, id: u64, session: &str, most: usize) -> bool {
+        if let Some(held) = self.held.iter_mut().find(|held| held.id == id) {
+            held.session = Some(session.to_string());
+        }
+        let at_work = |held: &&Held| matches!(held.doing, Doing::Serves | Doing::Answers);
+        let of_session = |held: &&Held| held.session.as_deref() == Some(session);
+        let served = self.held.iter().filter(at_work).filter(of_session).count();
+        served <= (most * OF_SESSION_PERCENT / 100).max(1)
+    }
+
+    /// A connection has ended.
+    pub fn leave(&mut self, id: u64) {
+        self.held.retain(|held| held.id != id);
+    }
+}
+
+/// Places for one kind of stream.
+#[derive(Debug)]
+pub struct Streams {
+    /// Of all connections, percent.
+    percent: usize,
+    of_session: usize,
+    open: HashMap<String, usize>,
+}
+
+impl Streams {
+    /// At most so many percent of all connections, and so many of one session.
+    pub fn new(percent: usize, of_session: usize) -> Streams {
+        Streams { percent, of_session, open: HashMap::new() }
+    }
+
+    /// A stream of a session is opened; `most`: how many connections there may be now.
+    ///
+    /// # Errors
+    /// The sentence with which it is refused.
+    pub fn open(&mut self, session: &str, most: usize) -> Result<(), String> {
+        let all = most * self.percent / 100;
+        if self.open.values().sum::<usize>() >= all {
+            return Err(format!("too many viewers: {all} streams of this kind are open; close one"));
+        }
+        let of_session = self.open.get(session).copied().unwrap_or(0);
+        if of_session >= self.of_session {
+            return Err(format!(
+                "too many viewers: this session has {of_session} streams of this kind open; close one"
+            ));
+        }
+        self.open.insert(session.to_string(), of_session + 1);
+        Ok(())
+    }
+
+    /// A stream of a session has ended.
+    pub fn close(&mut self, session: &str) {
+        if let Some(open) = self.open.get_mut(session) {
+            *open -= 1;
+            if *open == 0 {
+                self.open.remove(session);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MOST: usize = 10;
+
+    fn computer(last: u8) -> IpAddr {
+        IpAddr::from([127, 0, 1, last])
+    }
+
+    /// A full table: each connection from a computer of its own, with a number from 1 to `MOST`.
+    fn full(start: Instant) -> Table {
+        let mut table = Table::default();
+        for last in 1..=MOST as u8 {
+            let at = start + Duration::from_millis(last.into());
+            let taken = Arrival::Taken { id: last.into(), cut: None };
+            assert_eq!(table.arrive(computer(last), MOST, at), taken);
+        }
+        table
+    }
+
+    fn cut(table: &mut Table, now: Instant) -> Option<u64> {
+        match table.arrive(computer(200), MOST, now) {
+            Arrival::Taken { id, cut } => {
+                // The new one serves a session: it is not the next one that is cut.
+                table.turns_to(id, Doing::Serves, now);
+                table.signed_in(id, &format!("new {id}"), MOST);
+                cut
+            }
+            Arrival::Refused => None,
+        }
+    }
+
+    #[test]
+    fn strangers_are_cut_before_idle_sessions_and_served_sessions_never() {
+        let start = Instant::now();
+        let mut table = full(start);
+        for (id, doing, session) in [
+            (1, Doing::Serves, Some("anna")),
+            (2, Doing::Streams, Some("anna")),
+            (3, Doing::AwaitsHead, Some("anna")),
+            (4, Doing::Answers, None),
+            (5, Doing::Serves, None),
+            (6, Doing::Answers, Some("ben")),
+        ] {
+            let at = start + Duration::from_millis(100 + id);
+            table.turns_to(id, Doing::Serves, at);
+            if let Some(session) = session {
+                assert!(table.signed_in(id, session, MOST));
+            }
+            table.turns_to(id, doing, at);
+            if let (Doing::Serves, Some(session)) = (doing, session) {
+                table.signed_in(id, session, MOST);
+            }
+        }
+        let soon = start + Duration::from_secs(1);
+        // Computer 200 has its own limit of 6: the seventh has to come from elsewhere.
+        let order: Vec<_> = (0..6).map(|_| cut(&mut table, soon)).collect();
+        assert_eq!(order, [7, 8, 9, 10, 3, 4].map(Some));
+        let from_elsewhere = table.arrive(computer(201), MOST, soon);
+        assert!(matches!(from_elsewhere, Arrival::Taken { cut: Some(5), .. }), "{from_elsewhere:?}");
+        let Arrival::Taken { id, .. } = from_elsewhere else { unreachable!() };
+        table.turns_to(id, Doing::Streams, soon);
+        assert_eq!(table.arrive(computer(202), MOST, soon), Arrival::Refused, "an answer on its way stays");
+        let later = soon + READ_WITHIN;
+        let unread = table.arrive(computer(202), MOST, later);
+        assert!(matches!(unread, Arrival::Taken { cut: Some(6), .. }), "{unread:?}");
+    }
+
+    #[test]
+    fn one_computer_makes_room_among_its_own_connections() {
+        let now = Instant::now();
+        let mut table = Table::default();
+        assert_eq!(table.arrive(computer(1), MOST, now), Arrival::Taken { id: 1, cut: None });
+        for id in 2..=7 {
+            assert_eq!(table.arrive(computer(2), MOST, now), Arrival::Taken { id, cut: None });
+        }
+        assert_eq!(table.arrive(computer(2), MOST, now), Arrival::Taken { id: 8, cut: Some(2) });
+        table.leave(3);
+        assert_eq!(table.arrive(computer(2), MOST, now), Arrival::Taken { id: 9, cut: None });
+    }
+
+    #[test]
+    fn out_of_handles_one_connection_is_cut() {
+        let now = Instant::now();
+        let mut table = full(now);
+        assert_eq!(table.cut_one(now), Some(1));
+        assert_eq!(Table::default().cut_one(now), None);
+    }
+
+    #[test]
+    fn one_session_is_served_a_bounded_number_of_requests_at_a_time() {
+        let now = Instant::now();
+        let mut table = full(now);
+        for id in 1..=3 {
+            table.turns_to(id, Doing::Serves, now);
+            assert_eq!(table.signed_in(id, "anna", MOST), id <= 2, "{id}");
+        }
+        table.turns_to(4, Doing::Serves, now);
+        assert!(table.signed_in(4, "ben", MOST));
+    }
+
+    #[test]
+    fn connections_take_at_most_half_of_the_handles_and_streams_at_most_half_of_the_connections() {
+        assert_eq!([1 << 20, 1024, 256, 2].map(most_connections), [200, 200, 128, 1]);
+        let mut streams = Streams::new(30, 2);
+        assert_eq!((streams.open("anna", MOST), streams.open("anna", MOST)), (Ok(()), Ok(())));
+        assert!(streams.open("anna", MOST).unwrap_err().contains("this session has 2"));
+        assert_eq!(streams.open("ben", MOST), Ok(()));
+        assert!(streams.open("eve", MOST).unwrap_err().contains("3 streams of this kind"));
+        streams.close("anna");
+        assert_eq!(streams.open("eve", MOST), Ok(()));
+    }
+}
