@@ -25,7 +25,8 @@ use std::time::{Duration, Instant};
 /// A search shorter than this shows no progress.
 const QUIET: Duration = Duration::from_millis(500);
 
-/// The line on the terminal is drawn again after this time: searches look far more often whether they have to stop.
+/// The line on the terminal is drawn again after this time: searches look far more often whether they have
+/// to stop.
 const REDRAW: Duration = Duration::from_millis(50);
 
 /// What `--help` says about the choice of a solver.

@@ -82,7 +82,7 @@ fn the_sound_cell_breaks_no_rule_in_any_drill() {
 /// Before anything is gripped.
 #[test]
 fn an_old_sight_is_found_as_the_tool_goes_down() {
-    let case = cases().into_iter().find(|case| case.rule == Rule::PickOnOldSight).unwrap();
+    let case = cases().into_iter().find(|case| case.rule == Rule::PickOnOldSight).expect("the drill runs");
     let found = run(case.cell, Some(case.plant), case.drill);
     assert!(found.first().is_some_and(|(_, detail)| detail.ends_with("on the way down")), "{found:?}");
 }
@@ -91,8 +91,8 @@ fn an_old_sight_is_found_as_the_tool_goes_down() {
 #[test]
 fn a_forgotten_job_has_no_end() {
     let ends = |plant: Option<Plant>| {
-        let stage = stage(SEED, SightKind::Corners).unwrap();
-        let mut pair = Pair::new(stage.clone(), Choice::of(SEED)).unwrap();
+        let stage = stage(SEED, SightKind::Corners).expect("the drill runs");
+        let mut pair = Pair::new(stage.clone(), Choice::of(SEED)).expect("the drill runs");
         plant.into_iter().for_each(|plant| pair.adapt(Box::new(plant)));
         assert!(bring_up(&mut pair));
         pair.order(Order::Arm);

@@ -35,13 +35,13 @@ pub fn usual(_: &mut Stage) {}
 
 /// A cell after a drill.
 pub fn after(cell: fn(&mut Stage), plant: Option<fn() -> Plant>, drill: fn(&mut Pair, &Stage)) -> Pair {
-    let mut stage = stage(SEED, SightKind::Corners).unwrap();
+    let mut stage = stage(SEED, SightKind::Corners).expect("the drill runs");
     // Long enough not to be found in bytes that mean something else.
     stage.parameters.nonce_seed = 1_234_567_890;
     cell(&mut stage);
     let weather = Weather { late: 0.0, split: 0.0 };
     let choice = Choice { weather, replay: true, ..Choice::of(SEED) };
-    let mut pair = Pair::new(stage.clone(), choice).unwrap();
+    let mut pair = Pair::new(stage.clone(), choice).expect("the drill runs");
     if let Some(plant) = plant {
         pair.adapt(Box::new(plant()));
     }
@@ -95,7 +95,7 @@ pub fn work_until(pair: &mut Pair, stage: &Stage, step: WorkStep) {
 
 /// Brings a fault of the simulator about.
 pub fn bring_about(pair: &mut Pair, text: &str) {
-    for planned in read_posted(text).unwrap() {
-        pair.fault(planned).unwrap();
+    for planned in read_posted(text).expect("the drill runs") {
+        pair.fault(planned).expect("the drill runs");
     }
 }

@@ -177,7 +177,7 @@ fn states_late() -> Plant {
             now.set(now.get() + 1);
             let mut waiting = waiting.borrow_mut();
             while waiting.front().is_some_and(|(at, _)| at + LATE_FRAMES <= now.get()) {
-                let (_, bytes) = waiting.pop_front().unwrap();
+                let (_, bytes) = waiting.pop_front().expect("the drill runs");
                 made_up.push(Event::Received(Link::Rtde, bytes));
             }
         })
@@ -190,9 +190,12 @@ fn old_nonce() -> Plant {
     Plant::none()
         .effect(move |effect, effects, _| {
             let Effect::Send(Link::Primary, bytes) = effect else { return effects.push(effect) };
-            let text = String::from_utf8(bytes).unwrap();
-            let digits = text.strip_prefix("def celld_").and_then(|rest| rest.split('(').next()).unwrap();
-            let wanted: i32 = digits.parse().unwrap();
+            let text = String::from_utf8(bytes).expect("the drill runs");
+            let digits = text
+                .strip_prefix("def celld_")
+                .and_then(|rest| rest.split('(').next())
+                .expect("the drill runs");
+            let wanted: i32 = digits.parse().expect("the drill runs");
             let (first, _) = nonces.get().unwrap_or((wanted, wanted));
             nonces.set(Some((first, wanted)));
             let text = text.replace(&wanted.to_string(), &first.to_string());

@@ -280,7 +280,7 @@ fn name_in_the_program() -> Plant {
     Plant::none().effect(|effect, effects, _| {
         effects.push(match effect {
             Effect::Send(Link::Primary, bytes) => {
-                let text = String::from_utf8(bytes).unwrap();
+                let text = String::from_utf8(bytes).expect("the drill runs");
                 let at = "  global depth = 8\n";
                 let text = text.replace(at, &format!("  textmsg(\"lid-1\")\n{at}"));
                 Effect::Send(Link::Primary, text.into_bytes())

@@ -34,11 +34,11 @@ pub fn argument(number: usize) -> Range<usize> {
 }
 
 pub fn integer(package: &[u8], at: Range<usize>) -> i32 {
-    i32::from_be_bytes(package[at].try_into().unwrap())
+    i32::from_be_bytes(package[at].try_into().expect("the drill runs"))
 }
 
 pub fn double(package: &[u8], at: Range<usize>) -> f64 {
-    f64::from_be_bytes(package[at].try_into().unwrap())
+    f64::from_be_bytes(package[at].try_into().expect("the drill runs"))
 }
 
 pub fn set_integer(package: &mut [u8], at: Range<usize>, value: i32) {

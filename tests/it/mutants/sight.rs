@@ -176,7 +176,7 @@ fn approves_itself() -> Plant {
             }
             other => effects.push(other),
         })
-        .frame(move |_, machine, made_up| {
+        .frame(move |machine, _, made_up| {
             let Some(id) = waiting.borrow_mut().take() else { return };
             let plan = machine.supervisor().map_or(0, |cell| cell.last_plan());
             made_up.push(Event::Order(FORGED, Order::Approve { id, plan }, Origin::OWN));
@@ -250,5 +250,5 @@ fn with_a_post(stage: &mut Stage) {
 }
 
 fn without_equipment(model: &mut CellModel) {
-    model.arm.bodies = stage(SEED, SightKind::Corners).unwrap().model.arm.bodies;
+    model.arm.bodies = stage(SEED, SightKind::Corners).expect("the drill runs").model.arm.bodies;
 }

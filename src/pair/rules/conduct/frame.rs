@@ -1,8 +1,8 @@
 //! The rules that are held after every controller frame: arm, vacuum, gates, late answers, status.
 //!
 //! In: the machine, the simulated cell and the status of this frame, and what [`Conduct`] has recorded of
-//! the messages before. Out: breaches. Apart from the rules about single messages because these judge a state
-//! and its age: most of them have a time after which celld has to have noticed.
+//! the messages before. Out: breaches. Apart from the rules about single messages because these judge a
+//! state and its age: most of them have a time after which celld has to have noticed.
 
 use crate::pair::rules::conduct::Conduct;
 use crate::pair::rules::rule::Rule;
