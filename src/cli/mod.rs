@@ -26,6 +26,7 @@ pub mod history;
 mod in_fleet;
 pub mod interrupt;
 pub mod jobs;
+pub mod journal;
 pub mod markers;
 pub mod open;
 pub mod plan;
@@ -87,6 +88,9 @@ enum Command {
     /// Recordings (MCAP): make whole what a killed daemon left
     #[command(subcommand)]
     Recordings(replay::RecordingsCommand),
+    /// The journal (database of jobs and steps): repair a damaged one
+    #[command(subcommand)]
+    Journal(journal::JournalCommand),
     /// The shape of a kind of file as JSON Schema, for editors and other programs
     Schema(schema::SchemaArgs),
     /// What a shell completes behind `celld`
@@ -154,6 +158,7 @@ pub fn main() -> ExitCode {
         Command::Man(args) => shell::man(&args, Cli::command()),
         Command::Replay(args) => replay::run(&args),
         Command::Recordings(command) => replay::recordings(&command),
+        Command::Journal(command) => journal::run(&command),
         Command::Bench(Bench::Planning(args)) => {
             interrupt::watch(&stop);
             bench_planning::run(&args, &stop)

@@ -8,6 +8,7 @@
 mod claim;
 pub mod old;
 pub mod places;
+pub mod repair;
 pub(in crate::jobs) mod rows;
 mod schema;
 mod seen;
@@ -98,20 +99,20 @@ pub enum JournalError {
 }
 
 impl JournalError {
+    /// SQLite's answer; where it says that the file is damaged, with the way on.
+    fn of(path: &Path, source: rusqlite::Error) -> JournalError {
+        let path = path.to_owned();
+        match source.sqlite_error_code() {
+            Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase) => {
+                JournalError::Broken { path, found: source.to_string() }
+            }
+            _ => JournalError::Database { path, source },
+        }
+    }
+
     /// The file itself is damaged, or is no database: `celld journal repair` is the way on.
     pub fn is_damage(&self) -> bool {
-        match self {
-            JournalError::Broken { .. } => true,
-            JournalError::Database { source, .. } => matches!(
-                source.sqlite_error_code(),
-                Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase)
-            ),
-            JournalError::Version { .. }
-            | JournalError::UnknownJob { .. }
-            | JournalError::WrongState { .. }
-            | JournalError::WrongStep { .. }
-            | JournalError::Damaged { .. } => false,
-        }
+        matches!(self, JournalError::Broken { .. })
     }
 }
 
@@ -212,7 +213,7 @@ impl Journal {
     /// SQLite cannot open, create or read the file ([`JournalError::Database`]), or the file is of a later
     /// version ([`JournalError::Version`]).
     pub fn open(path: &Path) -> Result<Journal, JournalError> {
-        let fail = |source| JournalError::Database { path: path.to_owned(), source };
+        let fail = |source| JournalError::of(path, source);
         let database = Connection::open(path).map_err(fail)?;
         database.busy_timeout(Duration::from_secs(5)).map_err(fail)?;
         database
@@ -255,7 +256,7 @@ impl Journal {
     }
 
     fn read_as(path: &Path, name: &Path, flags: OpenFlags) -> Result<Journal, JournalError> {
-        let fail = |source| JournalError::Database { path: path.to_owned(), source };
+        let fail = |source| JournalError::of(path, source);
         let database = Connection::open_with_flags(name, flags).map_err(fail)?;
         database.busy_timeout(Duration::from_secs(5)).map_err(fail)?;
         database.execute_batch("PRAGMA query_only=ON;").map_err(fail)?;
@@ -289,7 +290,7 @@ impl Journal {
     }
 
     fn fail(&self, source: rusqlite::Error) -> JournalError {
-        JournalError::Database { path: self.path.clone(), source }
+        JournalError::of(&self.path, source)
     }
 
     /// Runs `work` in one transaction; what it did is on disk when this returns `Ok`.
@@ -298,7 +299,7 @@ impl Journal {
         work: impl FnOnce(&Transaction) -> Result<T, rusqlite::Error>,
     ) -> Result<T, JournalError> {
         let path = &self.path;
-        let fail = |source| JournalError::Database { path: path.clone(), source };
+        let fail = |source| JournalError::of(path, source);
         let transaction = self.database.transaction().map_err(fail)?;
         let value = work(&transaction).map_err(fail)?;
         transaction.commit().map_err(fail)?;

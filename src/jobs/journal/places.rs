@@ -179,6 +179,13 @@ impl Journal {
         self.database.query_row(select, [name], rejection).optional().map_err(|e| self.fail(e))
     }
 
+    /// The refusal in this row of the table.
+    pub(super) fn rejection_at(&self, row: i64) -> Result<Rejection, JournalError> {
+        let select = "SELECT sequence, name, stored, code, reason, moves, source FROM rejections
+                      WHERE sequence = ?1";
+        self.database.query_row(select, [row], rejection).map_err(|e| self.fail(e))
+    }
+
     /// Refusals whose files may not be in their place yet.
     pub(in crate::jobs) fn unsettled_rejections(&self) -> Result<Vec<Rejection>, JournalError> {
         let select = "SELECT sequence, name, stored, code, reason, moves, source FROM rejections

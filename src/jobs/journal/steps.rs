@@ -140,6 +140,13 @@ impl Journal {
         }
     }
 
+    /// The step in this row of the table.
+    pub(super) fn step_at(&self, row: i64) -> Result<StepRecord, JournalError> {
+        let select = format!("SELECT {} FROM steps WHERE rowid = ?1", step_columns(self.version));
+        let row = self.database.query_row(&select, [row], step_row).map_err(|e| self.fail(e))?;
+        self.step_record(row)
+    }
+
     fn step_record(&self, row: StepRow) -> Result<StepRecord, JournalError> {
         let StepRow { step, intent, phase, changed_unix_s, gripped_unix_s, note } = row;
         let phase = phase.parse::<StepPhase>().map_err(|_| self.damaged("steps.phase", &phase))?;
