@@ -1,7 +1,8 @@
 //! Who may do what at the page: tickets that sign a browser in once, tokens that last.
 //!
 //! In: requests of people on this computer, secrets that come with requests, the time. Out: secrets, each
-//! given away once; grants. Only the SHA-256 of a secret is kept: whoever reads the file learns none. A
+//! given away once; grants. Time is the boot's: setting the calendar ends no session and prolongs none, and a
+//! new boot ends all. Only the SHA-256 of a secret is kept: whoever reads the file learns none. A
 //! secret has 256 random bits, so it is neither guessed nor found by the time that a comparison takes; the
 //! comparison is of constant time nevertheless. Pure but for the random numbers.
 
@@ -30,8 +31,8 @@ pub struct Grant {
     pub name: String,
     /// What the person may do.
     pub role: Role,
-    /// s since 1970.
-    pub until_unix_s: f64,
+    /// s since this computer started.
+    pub until_boot_s: f64,
 }
 
 /// A grant with the fingerprint of its secret, hex.
@@ -73,6 +74,8 @@ pub enum Redeemed {
 /// All tickets and grants.
 #[derive(Clone, Debug, Default)]
 pub struct Access {
+    /// The boot of this computer that the times count from.
+    boot: String,
     tickets: Vec<Ticket>,
     grants: Vec<Kept>,
 }
@@ -82,26 +85,32 @@ pub struct Access {
 #[serde(deny_unknown_fields)]
 struct File {
     version: u32,
+    /// The boot that the grants belong to.
+    boot: String,
     grants: Vec<Kept>,
 }
 
 impl Access {
-    /// The grants of an earlier daemon; none where the text is no such file.
-    pub fn of_file(text: &str, now_unix_s: f64) -> Access {
-        let file = serde_json::from_str::<File>(text).ok().filter(|file| file.version == 1);
-        let mut access =
-            Access { tickets: Vec::new(), grants: file.map(|file| file.grants).unwrap_or_default() };
-        access.forget(now_unix_s);
+    /// The grants of an earlier daemon of this boot; none where the text is no such file.
+    pub fn of_file(text: &str, boot: &str, now_boot_s: f64) -> Access {
+        let of_now = |file: &File| file.version == 2 && file.boot == boot && !boot.is_empty();
+        let file = serde_json::from_str::<File>(text).ok().filter(of_now);
+        let mut access = Access {
+            boot: boot.to_string(),
+            tickets: Vec::new(),
+            grants: file.map(|file| file.grants).unwrap_or_default(),
+        };
+        access.forget(now_boot_s);
         access
     }
 
     /// The grants, for a file that only the daemon reads.
     pub fn file(&self) -> String {
-        let file = File { version: 1, grants: self.grants.clone() };
+        let file = File { version: 2, boot: self.boot.clone(), grants: self.grants.clone() };
         serde_json::to_string_pretty(&file).expect("grants have string keys only")
     }
 
-    /// A ticket for one browser, of this user alone where one is named; `grant.until_unix_s` is that of the
+    /// A ticket for one browser, of this user alone where one is named; `grant.until_boot_s` is that of the
     /// session it leads to.
     ///
     /// # Errors
@@ -110,12 +119,12 @@ impl Access {
         &mut self,
         grant: Grant,
         user: Option<u32>,
-        now_unix_s: f64,
+        now_boot_s: f64,
     ) -> Result<String, getrandom::Error> {
-        self.forget(now_unix_s);
+        self.forget(now_boot_s);
         let secret = secret()?;
         // Until when the ticket counts is in the grant; what it leads to lasts as long as a session.
-        let ticket = Grant { until_unix_s: now_unix_s + TICKET_S, ..grant };
+        let ticket = Grant { until_boot_s: now_boot_s + TICKET_S, ..grant };
         push(&mut self.tickets, Ticket { kept: Kept { sha256: fingerprint(&secret), grant: ticket }, user });
         Ok(secret)
     }
@@ -128,9 +137,9 @@ impl Access {
         &mut self,
         ticket: &str,
         user: Option<u32>,
-        now_unix_s: f64,
+        now_boot_s: f64,
     ) -> Result<Redeemed, getrandom::Error> {
-        self.forget(now_unix_s);
+        self.forget(now_boot_s);
         let Some(index) = find(self.tickets.iter().map(|ticket| &ticket.kept), ticket) else {
             return Ok(Redeemed::Void);
         };
@@ -138,7 +147,7 @@ impl Access {
             return Ok(Redeemed::OfAnotherUser);
         }
         let Grant { name, role, .. } = self.tickets.remove(index).kept.grant;
-        self.grant(Grant { name, role, until_unix_s: now_unix_s + SESSION_S }).map(Redeemed::Session)
+        self.grant(Grant { name, role, until_boot_s: now_boot_s + SESSION_S }).map(Redeemed::Session)
     }
 
     /// A secret that counts until the grant ends.
@@ -152,10 +161,10 @@ impl Access {
     }
 
     /// Who comes with this secret.
-    pub fn person(&self, secret: &str, now_unix_s: f64) -> Option<Person> {
+    pub fn person(&self, secret: &str, now_boot_s: f64) -> Option<Person> {
         let kept = &self.grants[find(&self.grants, secret)?];
         let session = kept.sha256.chars().take(12).collect();
-        (kept.grant.until_unix_s > now_unix_s).then(|| Person { grant: kept.grant.clone(), session })
+        (kept.grant.until_boot_s > now_boot_s).then(|| Person { grant: kept.grant.clone(), session })
     }
 
     /// Ends the session of this secret.
@@ -174,8 +183,8 @@ impl Access {
         before - self.tickets.len() - self.grants.len()
     }
 
-    fn forget(&mut self, now_unix_s: f64) {
-        let counts = |kept: &Kept| kept.grant.until_unix_s > now_unix_s;
+    fn forget(&mut self, now_boot_s: f64) {
+        let counts = |kept: &Kept| kept.grant.until_boot_s > now_boot_s;
         self.tickets.retain(|ticket| counts(&ticket.kept));
         self.grants.retain(counts);
     }
@@ -225,10 +234,11 @@ pub fn plain_name(name: &str) -> Option<String> {
 mod tests {
     use super::*;
 
-    const NOW: f64 = 1_795_248_000.0;
+    const NOW: f64 = 5_000.0;
+    const BOOT: &str = "8b1f0d3e";
 
-    fn anna(until_unix_s: f64) -> Grant {
-        Grant { name: "anna".into(), role: Role::Operate, until_unix_s }
+    fn anna(until_boot_s: f64) -> Grant {
+        Grant { name: "anna".into(), role: Role::Operate, until_boot_s }
     }
 
     #[test]
@@ -270,14 +280,17 @@ mod tests {
 
     #[test]
     fn a_restart_keeps_grants_and_their_file_has_no_secret() {
-        let mut access = Access::default();
+        let mut access = Access::of_file("", BOOT, NOW);
         let token = access.grant(anna(NOW + 100.0)).unwrap();
         let file = access.file();
         assert!(!file.contains(&token) && file.contains("anna"));
-        assert!(Access::of_file(&file, NOW).person(&token, NOW).is_some());
-        assert!(Access::of_file(&file, NOW + 101.0).person(&token, NOW).is_none(), "outlived");
-        for broken in ["", "{}", "[1]", &file.replace("\"version\": 1", "\"version\": 2")] {
-            assert!(Access::of_file(broken, NOW).person(&token, NOW).is_none(), "{broken}");
+        assert!(Access::of_file(&file, BOOT, NOW).person(&token, NOW).is_some());
+        assert!(Access::of_file(&file, BOOT, NOW + 101.0).person(&token, NOW).is_none(), "outlived");
+        for other in ["9c2a1e4f", ""] {
+            assert!(Access::of_file(&file, other, 1.0).person(&token, 1.0).is_none(), "boot {other:?}");
+        }
+        for broken in ["", "{}", "[1]", &file.replace("\"version\": 2", "\"version\": 1")] {
+            assert!(Access::of_file(broken, BOOT, NOW).person(&token, NOW).is_none(), "{broken}");
         }
     }
 

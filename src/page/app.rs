@@ -11,7 +11,7 @@ use crate::page::openapi::openapi;
 use crate::page::routes;
 use crate::page::server::{Listening, ServeError};
 use crate::page::shared::{App, Setup, Shared};
-use cell_edge::clock::unix_now_s;
+use cell_edge::clock::boot_now_s;
 use cell_machine::orders::Reply;
 use std::sync::Arc;
 
@@ -43,9 +43,9 @@ impl SignInHandler for SignsIn {
     fn sign_in(&self, wanted: &SignIn, uid: Option<u32>) -> Reply {
         let name = wanted.name.as_deref().map_or_else(|| user_name(uid), str::to_string);
         let Some(name) = plain_name(&name) else { return Reply::refuse("a name has letters") };
-        let now = unix_now_s();
+        let now = boot_now_s();
         let grant =
-            |seconds: f64| Grant { name: name.clone(), role: wanted.role, until_unix_s: now + seconds };
+            |seconds: f64| Grant { name: name.clone(), role: wanted.role, until_boot_s: now + seconds };
         let made = match wanted.token_days {
             None => {
                 let user = uid.filter(|_| wanted.own_browser);

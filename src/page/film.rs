@@ -17,7 +17,7 @@ use axum::extract::{Extension, State};
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
-use cell_edge::clock::unix_now_s;
+use cell_edge::clock::boot_now_s;
 use futures_util::stream;
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -69,7 +69,7 @@ impl Viewer {
         loop {
             // Who is not signed in any more watches no longer, also where no picture comes.
             if self.requested.elapsed() >= SIGNED_IN_EVERY {
-                self.app.access().person(&self.secret, unix_now_s())?;
+                self.app.access().person(&self.secret, boot_now_s())?;
                 self.requested = Instant::now();
             }
             match tokio::time::timeout(SIGNED_IN_EVERY, self.parts.changed()).await {

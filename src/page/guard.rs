@@ -19,7 +19,7 @@ use axum::http::header::{
 use axum::http::{HeaderMap, Method, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use cell_edge::clock::unix_now_s;
+use cell_edge::clock::boot_now_s;
 use cell_machine::orders::Role;
 use serde_json::json;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -224,7 +224,7 @@ pub fn secret(app: &App, headers: &HeaderMap) -> Option<(String, Via)> {
 /// Who sends a request.
 pub fn person(app: &App, headers: &HeaderMap) -> Option<(Person, Via)> {
     let (secret, via) = secret(app, headers)?;
-    Some((app.access().person(&secret, unix_now_s())?, via))
+    Some((app.access().person(&secret, boot_now_s())?, via))
 }
 
 /// Lets people with at least this role through.

@@ -18,7 +18,7 @@ use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::sse::{Event, Sse};
 use axum::response::{IntoResponse, Json, Response};
-use cell_edge::clock::unix_now_s;
+use cell_edge::clock::boot_now_s;
 use futures_util::stream::{self, Stream};
 use serde::Serialize;
 use std::collections::VecDeque;
@@ -177,7 +177,7 @@ impl Viewer {
             },
             _ = self.beat.tick() => {
                 // A session that has ended watches no longer.
-                self.app.access().person(&self.secret, unix_now_s())?;
+                self.app.access().person(&self.secret, boot_now_s())?;
                 if !self.app.feed.is_of_now() {
                     let silent = Event::default().event("silent").data("true");
                     return Some((Ok(silent), self));

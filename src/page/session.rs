@@ -15,7 +15,7 @@ use axum::extract::{Extension, Json, State};
 use axum::http::header::SET_COOKIE;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
-use cell_edge::clock::unix_now_s;
+use cell_edge::clock::{boot_now_s, unix_now_s};
 use cell_edge::peer::user_of;
 use cell_machine::orders::{Order, Reply, WayBack};
 use serde::Deserialize;
@@ -57,7 +57,7 @@ pub async fn sign_in(
         Err(error) => return unreadable(&error).into_response(),
     };
     let user = ends.and_then(|Extension(Ends { far, near })| user_of(far, near));
-    let redeemed = app.access().redeem(&ticket, user, unix_now_s());
+    let redeemed = app.access().redeem(&ticket, user, boot_now_s());
     match redeemed {
         Ok(Redeemed::Session(session)) => {
             keep_access(&app);
@@ -119,9 +119,11 @@ pub async fn me(
     Extension(Peer(peer)): Extension<Peer>,
 ) -> Response {
     let holder = app.control().holder(Instant::now()).cloned();
+    // For display: the calendar decides nothing.
+    let until_unix_s = unix_now_s() + person.grant.until_boot_s - boot_now_s();
     Json(json!({
         "name": person.grant.name, "role": person.grant.role, "session": person.session,
-        "until_unix_s": person.grant.until_unix_s, "control": holder, "moves": app.config.moves_from(peer),
+        "until_unix_s": until_unix_s, "control": holder, "moves": app.config.moves_from(peer),
         "beat": app.beat(),
     }))
     .into_response()
@@ -303,7 +305,7 @@ mod tests {
     #[test]
     fn from_a_computer_that_does_not_see_the_cell_only_stops_and_plans_are_ordered() {
         let (_folder, app) = page("192.0.2.7");
-        let grant = Grant { name: "anna".into(), role: Role::Engineer, until_unix_s: f64::MAX };
+        let grant = Grant { name: "anna".into(), role: Role::Engineer, until_boot_s: f64::MAX };
         let person = Person { grant, session: "1".into() };
         let id = || "a".to_string();
         let orders = [

@@ -18,7 +18,7 @@ use crate::page::live::EVENT_STREAMS;
 use crate::page::orders::OrderSender;
 use crate::page::screen::Screen;
 use crate::page::texts::Texts;
-use cell_edge::clock::unix_now_s;
+use cell_edge::clock::{boot_id, boot_now_s, unix_now_s};
 use cell_edge::files::{FileError, read_regular, write_secret};
 use serde_json::Value;
 use std::path::PathBuf;
@@ -128,7 +128,7 @@ impl Shared {
             film_streams: StreamPlaces::new(FILM_STREAMS.0, FILM_STREAMS.1),
             orders: Default::default(),
             document,
-            access: Mutex::new(Access::of_file(&text.unwrap_or_default(), unix_now_s())),
+            access: Mutex::new(Access::of_file(&text.unwrap_or_default(), &boot_id(), boot_now_s())),
             writing: Mutex::default(),
             control: Mutex::default(),
             limits: Mutex::default(),
