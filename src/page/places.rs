@@ -1,7 +1,7 @@
 //! Places for connections and streams: which connection is cut for a new one, and what is refused.
 //!
-//! In: connections that arrive and what each one does, by the time. Out: a place, with the connection that is
-//! cut for it, or a refusal. A request of a signed-in session is never cut while it is served, so an order
+//! In: connections that arrive and what each one does, by the time. Out: a place, with the connection that
+//! is cut for it, or a refusal. A request of a signed-in session is never cut while it is served, so an order
 //! finds a place however many slow heads and unread answers there are. Streams have places of their own,
 //! fewer than all. Pure.
 

@@ -1,11 +1,11 @@
 //! A damaged journal through the built binary: named by the commands that read it, repaired by `celld journal
 //! repair`, readable afterwards.
 
+use cell_edge::files::FileIdentity;
 use celld::jobs::journal::{Journal, NewJob};
 use celld::jobs::record::JobSpec;
 use celld::jobs::state::StateFolder;
 use celld::jobs::status::Status;
-use cell_edge::files::FileIdentity;
 use std::path::Path;
 use std::process::{Command, Output};
 

@@ -79,11 +79,8 @@ pub enum RepairError {
 /// The files cannot be read, written or renamed ([`RepairError::Files`]); the new journal cannot be written,
 /// or the old one is of a later version ([`RepairError::Journal`]). The damaged files are kept in any case.
 pub fn repair(path: &Path, unix_s: f64) -> Result<Repaired, RepairError> {
-    let real = path.canonicalize().map_err(|source| FileFault {
-        action: "find",
-        path: path.to_owned(),
-        source,
-    })?;
+    let real =
+        path.canonicalize().map_err(|source| FileFault { action: "find", path: path.to_owned(), source })?;
     let workshop = Workshop::make(&real)?;
     let copy = workshop.file("copy.sqlite");
     copy_database(&real, &copy)?;
@@ -118,9 +115,10 @@ fn is_sound(copy: &Path) -> bool {
     let whole = journal.database.query_row(check, [], |row| row.get::<_, String>(0));
     whole.is_ok_and(|found| found == "ok")
         && TABLES.iter().all(|table| {
-            let numbers = journal.database.prepare(&format!("SELECT rowid FROM {table}")).and_then(|mut rows| {
-                rows.query_map([], |row| row.get::<_, i64>(0))?.collect::<Result<Vec<_>, _>>()
-            });
+            let numbers =
+                journal.database.prepare(&format!("SELECT rowid FROM {table}")).and_then(|mut rows| {
+                    rows.query_map([], |row| row.get::<_, i64>(0))?.collect::<Result<Vec<_>, _>>()
+                });
             numbers.is_ok_and(|numbers| numbers.iter().all(|row| journal.is_readable(table, *row)))
         })
 }
@@ -207,7 +205,8 @@ impl Journal {
         // An index can be whole where the table is not, and the other way round.
         let count = format!("SELECT count(*) FROM {table}");
         let counted = source.query_row(&count, [], |row| row.get::<_, u64>(0)).ok();
-        let all = if whole { Some(counted.unwrap_or(read).max(read)) } else { counted.filter(|all| *all >= read) };
+        let all =
+            if whole { Some(counted.unwrap_or(read).max(read)) } else { counted.filter(|all| *all >= read) };
         Ok(Kept { table, rows, lost: all.map(|all| all - rows) })
     }
 
@@ -225,7 +224,9 @@ impl Journal {
         let mut all: Vec<&dyn ToSql> = vec![&row];
         all.extend(values.iter().map(|value| value as &dyn ToSql));
         match self.database.prepare_cached(&insert)?.execute(all.as_slice()) {
-            Err(error) if error.sqlite_error_code() == Some(ErrorCode::ConstraintViolation) => return Ok(false),
+            Err(error) if error.sqlite_error_code() == Some(ErrorCode::ConstraintViolation) => {
+                return Ok(false);
+            }
             other => other?,
         };
         if self.is_readable(table, row) {

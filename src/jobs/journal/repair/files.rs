@@ -128,7 +128,8 @@ fn kept_before(journal: &Path) -> Option<PathBuf> {
     let entries = std::fs::read_dir(journal.parent()?).ok()?.flatten();
     let kept = |path: &PathBuf| {
         let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
-        name.is_some_and(|name| name.starts_with(&*prefix.to_string_lossy())) && identity(path) == Some(wanted)
+        name.is_some_and(|name| name.starts_with(&*prefix.to_string_lossy()))
+            && identity(path) == Some(wanted)
     };
     entries.map(|entry| entry.path()).find(kept)
 }
@@ -142,7 +143,8 @@ pub(super) fn keep_damaged(journal: &Path, when: &str) -> Result<PathBuf, FileFa
                 1 => with_suffix(journal, &format!("{DAMAGED}{when}")),
                 _ => with_suffix(journal, &format!("{DAMAGED}{when}.{number}")),
             };
-            let kept = (1..).map(name).find(|name| name.symlink_metadata().is_err()).unwrap_or_else(|| name(0));
+            let kept =
+                (1..).map(name).find(|name| name.symlink_metadata().is_err()).unwrap_or_else(|| name(0));
             std::fs::hard_link(journal, &kept).map_err(fault("keep the damaged journal as", &kept))?;
             kept
         }
@@ -172,7 +174,9 @@ pub(super) fn put_in_place(new: &Path, journal: &Path) -> Result<(), FileFault> 
     for companion in COMPANIONS {
         let old = with_suffix(journal, companion);
         match std::fs::remove_file(&old) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(fault("remove", &old)(error)),
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                return Err(fault("remove", &old)(error));
+            }
             _ => {}
         }
     }

@@ -60,8 +60,8 @@ impl Robot {
         }
     }
 
-    /// Where the arm is cannot be trusted: a program of ours is stopped here already. While none may move it,
-    /// positions that jump with every package are reported once a second.
+    /// Where the arm is cannot be trusted: a program of ours is stopped here already. While none may move
+    /// it, positions that jump with every package are reported once a second.
     fn joint_jumped(&mut self, now: Timestamp, detail: String) {
         let moves = self.program.may_move();
         if moves || self.jumped.is_none_or(|at| now.since(at) >= JUMPS_AGAIN_AFTER) {
