@@ -1,8 +1,8 @@
 //! Who may do what at the page: tickets that sign a browser in once, tokens that last.
 //!
 //! In: requests of people on this computer, secrets that come with requests, the time. Out: secrets, each
-//! given away once; grants. Time is the boot's: setting the calendar ends no session and prolongs none, and a
-//! new boot ends all. Only the SHA-256 of a secret is kept: whoever reads the file learns none. A
+//! given away once; grants. Time is the boot's: setting the calendar ends no session and prolongs none, and
+//! a new boot ends all. Only the SHA-256 of a secret is kept: whoever reads the file learns none. A
 //! secret has 256 random bits, so it is neither guessed nor found by the time that a comparison takes; the
 //! comparison is of constant time nevertheless. Pure but for the random numbers.
 

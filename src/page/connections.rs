@@ -1,7 +1,7 @@
 //! The connections that have a place, as handlers and the listener see them.
 //!
-//! In: connections and their requests. Out: a [`Place`] each, which keeps the table up to date
-//! about its connection and ends a connection that is cut; a [`Seat`] for each stream. `places` decides.
+//! In: connections and their requests. Out: a [`Place`] each, which follows what its connection does
+//! and ends a connection that is cut; a [`Seat`] for each stream. `places` decides.
 
 use crate::page::places::{Arrival, Doing, Streams, Table, most_connections};
 use axum::body::{Body, Bytes};

@@ -25,9 +25,6 @@ use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
 
-/// Viewers at a time, percent of all connections, and of one session.
-pub const FILM_STREAMS: (usize, usize) = (15, 12);
-
 /// How often it is checked whether a viewer is still signed in.
 const SIGNED_IN_EVERY: Duration = Duration::from_millis(200);
 

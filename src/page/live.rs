@@ -30,9 +30,6 @@ use tokio::sync::broadcast;
 /// How often a stream shows that it lives.
 const BEAT_EVERY: Duration = Duration::from_millis(500);
 
-/// Streams at a time, percent of all connections, and of one session.
-pub const EVENT_STREAMS: (usize, usize) = (30, 24);
-
 /// Of JPEG, for pictures that are looked at.
 const QUALITY: u8 = 80;
 

@@ -1,9 +1,9 @@
 //! Places for connections and streams: which connection is cut for a new one, and what is refused.
 //!
 //! In: connections that arrive and what each one does, by the time. Out: a place, with the connection that
-//! is cut for it, or a refusal. A request of a signed-in session is never cut while it is served, so an order
-//! finds a place however many slow heads and unread answers there are. Streams have places of their own,
-//! fewer than all. Pure.
+//! is cut for it, or a refusal. A request of a signed-in session is never cut while it is served, so an
+//! order finds a place however many slow heads and unread answers there are. Streams have places of their
+//! own, fewer than all. Pure.
 
 use std::collections::HashMap;
 use std::net::IpAddr;
@@ -17,6 +17,12 @@ const OF_ONE_PERCENT: usize = 60;
 
 /// Requests of one session that are served at a time, in percent of all connections.
 const OF_SESSION_PERCENT: usize = 20;
+
+/// Streams of events at a time: percent of all connections, and streams of one session.
+pub const EVENT_STREAMS: (usize, usize) = (30, 24);
+
+/// The same of the film.
+pub const FILM_STREAMS: (usize, usize) = (15, 12);
 
 /// An answer that its reader does not take within this time gives its place up for a new connection.
 const READ_WITHIN: Duration = Duration::from_secs(2);

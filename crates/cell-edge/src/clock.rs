@@ -152,8 +152,8 @@ pub fn boot_now_s() -> f64 {
     now.tv_sec as f64 + now.tv_nsec as f64 * 1e-9
 }
 
-/// The boot that `boot_now_s` counts from, another one after each start of this computer; empty if the system
-/// does not name it.
+/// The boot that `boot_now_s` counts from, another one after each start of this computer; empty if the
+/// system does not name it.
 pub fn boot_id() -> String {
     let id = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
     id.trim().to_string()
