@@ -1,5 +1,5 @@
-//! A damaged journal through the built binary: named by the commands that read it, repaired by `celld journal
-//! repair`, readable afterwards.
+//! A damaged journal through the built binary: the commands that read it name `celld journal repair`, which
+//! makes it readable again.
 
 use cell_edge::files::FileIdentity;
 use celld::jobs::journal::{Journal, NewJob};

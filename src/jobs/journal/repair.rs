@@ -1,9 +1,10 @@
 //! Repairs a damaged journal: a new database with every row of the damaged one that can still be read.
 //!
-//! In: the path of a journal that no celld has open, the time. Out: the new journal in its place, the damaged
-//! files beside it under a name with the time, and how many rows of each table were kept and lost. All work
-//! is done on copies, so the damaged files are as they were until the new journal is complete, checked and on
-//! the disk. Rows that today's celld cannot read, or that the tables' own rules forbid, count as lost.
+//! In: the path of a journal that no celld has open, the time. Out: the new journal in its place, the
+//! damaged files beside it under a name with the time, and how many rows of each table were kept and lost.
+//! All work is done on copies, so the damaged files are as they were until the new journal is complete,
+//! checked and on the disk. Rows that today's celld cannot read, or that the tables' own rules forbid, count
+//! as lost.
 
 mod files;
 mod salvage;
@@ -83,8 +84,8 @@ pub fn repair(path: &Path, unix_s: f64) -> Result<Repaired, RepairError> {
         path.canonicalize().map_err(|source| FileFault { action: "find", path: path.to_owned(), source })?;
     let workshop = Workshop::make(&real)?;
     let copy = workshop.file("copy.sqlite");
-    copy_database(&real, &copy)?;
-    if is_sound(&copy) {
+    let was_cut_off = copy_database(&real, &copy)?;
+    if !was_cut_off && is_sound(&copy) {
         return Ok(Repaired::Sound);
     }
     copy_database(&real, &copy)?;
@@ -93,19 +94,26 @@ pub fn repair(path: &Path, unix_s: f64) -> Result<Repaired, RepairError> {
     }
     let mut new = workshop.file("new.sqlite");
     let mut tables = rebuild(&copy, &new)?;
-    if tables.iter().all(|kept| kept.rows == 0) {
+    if tables.first().is_none_or(|jobs| jobs.rows == 0) {
         // Without its first page a database is unreadable; that page is the same in every new journal.
         copy_database(&real, &copy)?;
         let page = workshop.file("empty.sqlite");
         at_rest(Journal::open(&page)?)?;
         set_wal(&page)?;
         graft_first_page(&page, &copy)?;
-        new = workshop.file("grafted.sqlite");
-        tables = rebuild(&copy, &new)?;
+        let other = workshop.file("grafted.sqlite");
+        let found = rebuild(&copy, &other)?;
+        if all_rows(&found) >= all_rows(&tables) {
+            (new, tables) = (other, found);
+        }
     }
     let damaged = keep_damaged(&real, &utc::compact(unix_s))?;
     put_in_place(&new, &real)?;
     Ok(Repaired::Replaced { tables, damaged })
+}
+
+fn all_rows(tables: &[Kept]) -> u64 {
+    tables.iter().map(|kept| kept.rows).sum()
 }
 
 /// True for a journal that SQLite finds whole and of which celld can read every row.
@@ -204,7 +212,8 @@ impl Journal {
         };
         // An index can be whole where the table is not, and the other way round.
         let count = format!("SELECT count(*) FROM {table}");
-        let counted = source.query_row(&count, [], |row| row.get::<_, u64>(0)).ok();
+        let counted = source.query_row(&count, [], |row| row.get::<_, i64>(0));
+        let counted = counted.ok().and_then(|count| u64::try_from(count).ok());
         let all =
             if whole { Some(counted.unwrap_or(read).max(read)) } else { counted.filter(|all| *all >= read) };
         Ok(Kept { table, rows, lost: all.map(|all| all - rows) })

@@ -71,14 +71,17 @@ impl Drop for Workshop {
 /// Bytes that are read at once, and given up at once where the disk cannot read them.
 const PIECE: u64 = 4096;
 
-/// Copies the database with its write-ahead log; what the disk cannot read becomes zeros.
-pub(super) fn copy_database(journal: &Path, to: &Path) -> Result<(), FileFault> {
+/// Copies the database with its write-ahead log; what the disk cannot read becomes zeros. True where the log
+/// is one that a repair that was cut off has kept: the journal alone is less than the copy then.
+pub(super) fn copy_database(journal: &Path, to: &Path) -> Result<bool, FileFault> {
     copy(journal, to)?;
-    let log = match with_suffix(journal, "-wal") {
-        log if log.exists() => Some(log),
-        _ => kept_before(journal).map(|kept| with_suffix(&kept, "-wal")).filter(|log| log.exists()),
-    };
-    log.map_or(Ok(()), |log| copy(&log, &with_suffix(to, "-wal")))
+    let present = |log: PathBuf| log.exists().then_some(log);
+    let beside = present(with_suffix(journal, "-wal"));
+    let kept = || kept_before(journal).and_then(|kept| present(with_suffix(&kept, "-wal")));
+    let from_kept = beside.is_none();
+    let Some(log) = beside.or_else(kept) else { return Ok(false) };
+    copy(&log, &with_suffix(to, "-wal"))?;
+    Ok(from_kept)
 }
 
 fn copy(from: &Path, to: &Path) -> Result<(), FileFault> {
