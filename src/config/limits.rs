@@ -22,6 +22,10 @@ use rearrange::tabletop::room::place_for_cups;
 /// it less.
 const JOINT_ACCELERATION_MAX_DEG_S2: f64 = 1350.0;
 
+/// Up to here a tool acceleration is no complaint, m/s2: it serves the empty arm, and celld carries heavy
+/// objects more slowly.
+const TOOL_ACCELERATION_OF_EMPTY_ARM: f64 = 2.5;
+
 /// Complains about limits that arm or cups cannot keep, or that do not fit each other.
 pub(super) fn check_limits(decoder: &mut Decoder, parts: &CellParts, places: &Places) {
     let Some(limits) = &parts.limits else { return };
@@ -69,7 +73,7 @@ fn check_tool_acceleration(decoder: &mut Decoder, parts: &CellParts, limits: &Mo
     let best = movable.filter_map(|object| Some((held(object)?, object.id.as_str())));
     let Some((most, id)) = best.max_by(|a, b| a.0.total_cmp(&b.0)) else { return };
     // An object that is not held at all has a complaint of its own.
-    if limits.tool_acceleration <= most || most <= 0.0 {
+    if limits.tool_acceleration <= most.max(TOOL_ACCELERATION_OF_EMPTY_ARM) || most <= 0.0 {
         return;
     }
     let most = (most * 100.0).floor() / 100.0;

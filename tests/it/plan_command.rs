@@ -253,8 +253,8 @@ fn ctrl_c_leaves_the_best_plan_there_is() {
     let instance = files.write("swap.yaml", SWAP);
     let out = files.path("plan.json").display().to_string();
     // No bound reaches the seconds of a plan: this search goes on for ten minutes.
-    let words = [&instance, "--objective", "time", "--time-limit", "600", "--out", &out];
-    let (mut program, mut said) = planning(&words.map(|word| word as &str));
+    let words = [instance.as_str(), "--objective", "time", "--time-limit", "600", "--out", &out];
+    let (mut program, mut said) = planning(&words);
     assert!(said.any(|line| line.expect("text").contains("cost ")), "a first plan is reported");
     interrupt(&program);
     assert_eq!(program.wait().expect("it ends").code(), Some(0));

@@ -80,12 +80,12 @@ impl Parts {
         let groups = groups(scene);
         let grouped: ObjectSet = groups.values().flatten().copied().collect();
         let single: ObjectSet = scene.movable.iter().copied().filter(|&i| !grouped.contains(i)).collect();
-        let blocking = blocking(scene, &graph, &groups, &single);
+        let blocking = blocking(scene, &graph, &groups, &single, watch);
         let required: ObjectSet = single.iter().filter(|&i| must_move(scene, i, &blocking)).collect();
         let mut required_moves = required.len();
         let mut required_cost = required.weight(move_costs);
         for members in groups.values() {
-            let (moves, cost) = group_moves(scene, members, &blocking, move_costs);
+            let (moves, cost) = group_moves(scene, members, &blocking, move_costs, watch);
             required_moves += moves;
             required_cost += cost;
         }
@@ -125,6 +125,7 @@ fn blocking(
     graph: &DependencyGraph,
     groups: &BTreeMap<&str, Vec<usize>>,
     single: &ObjectSet,
+    watch: &mut Watch,
 ) -> ObjectSet {
     let mut blocking = ObjectSet::EMPTY;
     for i in single {
@@ -133,6 +134,10 @@ fn blocking(
     for members in groups.values() {
         for &i in members {
             // A member that starts at this goal might stay, and what is beside it since the start as well.
+            // Where there is no time to look, one may.
+            if !watch.go_on(members.len() as u64) {
+                return blocking;
+            }
             let taken = scene.goal(i).is_some_and(|goal| stands_at(scene, members, &goal.pose));
             if !taken {
                 blocking.extend(graph.blockers(i));
@@ -154,11 +159,19 @@ fn stands_at(scene: &Scene, members: &[usize], pose: &Pose2) -> bool {
 }
 
 /// Moves that the group needs under every assignment, and their least cost.
-fn group_moves(scene: &Scene, members: &[usize], blocking: &ObjectSet, costs: &[f64]) -> (usize, f64) {
+fn group_moves(
+    scene: &Scene,
+    members: &[usize],
+    blocking: &ObjectSet,
+    costs: &[f64],
+    watch: &mut Watch,
+) -> (usize, f64) {
     let goals: Vec<Pose2> = members.iter().filter_map(|&i| scene.goal(i)).map(|goal| goal.pose).collect();
-    let empty_goals = goals.iter().filter(|goal| !stands_at(scene, members, goal)).count();
+    // What there is no time to look at counts as no move.
+    let mut timely = || watch.go_on(members.len() as u64);
+    let empty_goals = goals.iter().filter(|goal| timely() && !stands_at(scene, members, goal)).count();
     let stays = |i: usize| goals.iter().any(|goal| goal.same(&scene.start(i).pose));
-    let in_the_way = members.iter().filter(|&&i| blocking.contains(i) && !stays(i)).count();
+    let in_the_way = members.iter().filter(|&&i| blocking.contains(i) && timely() && !stays(i)).count();
     let moves = empty_goals.max(in_the_way);
     let mut cheapest: Vec<f64> = members.iter().map(|&i| costs[i]).collect();
     cheapest.sort_by(f64::total_cmp);

@@ -223,5 +223,5 @@ fn goal_of(problem: &Problem, object: usize, pose: &Pose2) -> Option<usize> {
         return Some(object);
     }
     given.group.as_ref()?;
-    objects.iter().position(|other| other.group == given.group && other.goal == Some(*pose))
+    objects.iter().position(|other| other.goal == Some(*pose) && other.group == given.group)
 }
