@@ -107,7 +107,7 @@ impl Cell {
             if !self.armed() && self.status()["holding"].is_null() {
                 self.celld(&["arm"]);
             }
-            self.status()["holding"].as_str().is_some_and(|held| held.contains("lid"))
+            self.holds() && self.status()["holding"].as_str().is_some_and(|held| held.contains("lid"))
         });
     }
 

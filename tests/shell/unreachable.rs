@@ -19,7 +19,7 @@ fn cell_stops_when_its_state_folder_is_gone_and_takes_orders_when_it_is_back() {
     std::fs::rename(&aside, cell.state()).expect("put back");
     wait_until("orders reach it", || cell.log().contains("orders reach celld again"));
     wait_until("it takes orders", || cell.celld(&["recover"]).0 == Some(0));
-    assert!(!cell.armed());
+    wait_until("the status is of now again", || !cell.armed());
 }
 
 /// The journal's file is removed: no further pick-n-place, no "done", and the daemon stays.

@@ -85,7 +85,8 @@ mod tests {
         let program = ProgramTemplate::new(PROGRAM_TEXT, WATCHDOG_FRAMES).unwrap().render(Nonce::new(4711));
         assert_eq!(first_difference(&program), None);
         let spoilt = program.replace("\nend\n", "\n  textmsg(\"lid-1\")\nend\n");
-        assert!(first_difference(&spoilt).is_some_and(|rest| rest.starts_with("textmsg")), "in the middle");
+        let rest = first_difference(&spoilt).expect("a difference");
+        assert!(rest.trim_start().starts_with("textmsg"), "in the middle: {rest}");
         let spoilt = program.replace("watchdog_frames = 100", "watchdog_frames = 1e2");
         assert!(first_difference(&spoilt).is_some_and(|rest| rest.starts_with("e2")), "a number is digits");
         assert_eq!(first_difference(&format!("{program}movej(q)")).as_deref(), Some("movej(q)"), "after it");

@@ -86,6 +86,7 @@ fn a_planner_that_fails_ends_its_job_with_the_reason_and_the_next_job_is_planned
         _ => false,
     });
     assert!(told, "{failed:?}");
+    bench.feed(order(Order::Disarm));
     bench.job(false);
     assert!(bench.until_planning().iter().any(|action| matches!(action, Action::Plan(_))));
 }
