@@ -1,8 +1,9 @@
 //! The rule about what the status says of the gripper: what hangs there is named, and what is named hangs
 //! there.
 //!
-//! In: the simulated world, the status. Out: breaches. An object that sticks to the cups without vacuum is
-//! known to nobody before a picture shows it, and a gripper that does not answer shows nothing.
+//! In: the simulated world, the status. Out: breaches. Without vacuum an object that sticks to the cups is
+//! known to nobody before a picture shows it, and its fall to nobody before a person says so. A gripper that
+//! does not answer shows nothing.
 
 use crate::pair::rules::found::Found;
 use crate::pair::rules::rule::Rule;
@@ -36,7 +37,8 @@ impl Holding {
         let held = world.held().next().filter(|_| grips);
         let words = status.held.as_deref();
         let named = held.is_none_or(|object| words.is_some_and(|words| words.contains(object)));
-        let hangs = !words.is_some_and(|words| words.starts_with(HOLDS)) || world.held().next().is_some();
+        let says = grips && words.is_some_and(|words| words.starts_with(HOLDS));
+        let hangs = !says || world.held().next().is_some();
         self.unnamed = if named { None } else { self.unnamed.or(Some(truth.frame)) };
         self.empty = if hangs { None } else { self.empty.or(Some(truth.frame)) };
         if self.unnamed.is_some_and(|since| truth.frame == since + NAMED_FRAMES) {

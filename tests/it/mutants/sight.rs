@@ -235,9 +235,9 @@ fn camera_bumped(pair: &mut Pair, stage: &Stage) {
 /// What is not moved is taken for flat, and little air is kept over anything.
 fn flattened(model: &mut CellModel) {
     for object in model.objects.iter_mut().filter(|object| object.id != CARRIED) {
-        object.height = 2e-3;
+        object.height = 1e-3;
     }
-    model.cycle.tallest = 2e-3;
+    model.cycle.tallest = 1e-3;
     (model.cycle.air, model.cycle.approach) = (12e-3, 12e-3);
 }
 
