@@ -8,7 +8,7 @@ use std::time::Instant;
 /// The daemon is stopped in the middle of a carry: disarmed afterwards, still there, and says so.
 #[test]
 fn cell_that_was_held_up_is_disarmed_stays_and_says_so() {
-    let mut cell = Cell::start("127.7.8.4", &[]);
+    let mut cell = Cell::start("127.7.9.4", &[]);
     cell.carry();
     cell.signal("STOP");
     // Long enough for every deadline of the robot; the arm stops by its program's own watchdog.
@@ -25,7 +25,7 @@ fn cell_that_was_held_up_is_disarmed_stays_and_says_so() {
 /// Standard error is a pipe that nobody reads: an abort is taken, and SIGTERM ends the daemon.
 #[test]
 fn cell_with_a_blocked_log_takes_an_abort_and_ends() {
-    let mut cell = Cell::without_daemon("127.7.8.5");
+    let mut cell = Cell::without_daemon("127.7.9.5");
     let process = Command::new(CELLD)
         .args(["run", "--config"])
         .arg(&cell.config)
@@ -51,7 +51,7 @@ fn cell_with_a_blocked_log_takes_an_abort_and_ends() {
 /// A terminal that is closed ends the daemon as SIGTERM does: the arm stops, the status is no longer armed.
 #[test]
 fn cell_ends_at_a_hangup_as_at_sigterm() {
-    let mut cell = Cell::start("127.7.8.6", &[]);
+    let mut cell = Cell::start("127.7.9.6", &[]);
     cell.carry();
     cell.signal("HUP");
     let code = cell.daemon().wait().expect("a child").code();

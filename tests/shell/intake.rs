@@ -6,7 +6,7 @@ use crate::cell::wait_until;
 /// The daemon is stopped, `arm` is given, its client ends: after the daemon goes on, nothing is armed.
 #[test]
 fn cell_does_not_arm_for_a_client_that_has_ended() {
-    let cell = Cell::start("127.7.8.1", &[]);
+    let cell = Cell::start("127.7.9.1", &[]);
     for (way, taken_back) in [("INT", true), ("KILL", false)] {
         cell.signal("STOP");
         let client = cell.client(&["arm"]);
@@ -31,7 +31,7 @@ fn cell_does_not_arm_for_a_client_that_has_ended() {
 /// A thousand orders lie in the folder; an abort is carried out before them.
 #[test]
 fn cell_is_aborted_before_a_thousand_other_orders() {
-    let cell = Cell::start("127.7.8.2", &[]);
+    let cell = Cell::start("127.7.9.2", &[]);
     cell.carry();
     let daemon = cell.status()["daemon"].as_str().expect("a name").to_string();
     // None of them moves the arm, and no client waits for them.
@@ -52,7 +52,7 @@ fn cell_is_aborted_before_a_thousand_other_orders() {
 /// Without a file handle left, an abort is taken and answered.
 #[test]
 fn cell_is_aborted_without_a_file_handle_left() {
-    let cell = Cell::start("127.7.8.3", &[]);
+    let cell = Cell::start("127.7.9.3", &[]);
     cell.carry();
     let id = cell.daemon.as_ref().expect("a daemon").0.id();
     let open = std::fs::read_dir(format!("/proc/{id}/fd")).expect("its handles").flatten();

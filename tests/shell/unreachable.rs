@@ -6,7 +6,7 @@ use crate::cell::wait_until;
 /// The folder is renamed: the arm stops, the cell disarms and stays; put back, it takes orders again.
 #[test]
 fn cell_stops_when_its_state_folder_is_gone_and_takes_orders_when_it_is_back() {
-    let mut cell = Cell::start("127.7.8.7", &[]);
+    let mut cell = Cell::start("127.7.9.7", &[]);
     cell.carry();
     let aside = cell.path().join("aside");
     std::fs::rename(cell.state(), &aside).expect("renamed");
@@ -25,7 +25,7 @@ fn cell_stops_when_its_state_folder_is_gone_and_takes_orders_when_it_is_back() {
 /// The journal's file is removed: no further pick-n-place, no "done", and the daemon stays.
 #[test]
 fn cell_stops_when_its_journal_is_removed() {
-    let mut cell = Cell::start("127.7.8.8", &[]);
+    let mut cell = Cell::start("127.7.9.8", &[]);
     cell.carry();
     std::fs::remove_file(cell.state().join("history.sqlite")).expect("removed");
     wait_until("it says so", || cell.log().contains("was removed or replaced while celld ran"));

@@ -21,12 +21,8 @@ use celld::pair::stage::Stage;
 use celld::pair::table::stage;
 use celld::pair::work::job;
 use nalgebra::Isometry3;
-use rearrange::geometry::pose::Pose2;
 use std::cell::RefCell;
 use std::rc::Rc;
-
-/// What is carried over another object.
-const CARRIED: &str = "plank-1";
 
 pub const CASES: &[Case] = &[
     Case {
@@ -65,13 +61,6 @@ pub const CASES: &[Case] = &[
         drill: camera_bumped,
     },
     Case {
-        name: "objects are taken for lower than they are",
-        rule: Rule::MeetsObject,
-        cell: usual,
-        plant: || commissioned(flattened),
-        drill: carried_over_another,
-    },
-    Case {
         name: "the equipment is not known",
         rule: Rule::MeetsEquipment,
         cell: with_a_post,
@@ -85,15 +74,6 @@ fn a_whole_job(pair: &mut Pair, stage: &Stage) {
     submit(pair, stage, 0);
     pair.run_until(120.0, |pair| !pair.breaches().is_empty() || !pair.reports().is_empty());
     wait(pair, 0.3);
-}
-
-/// The plank to the other side of a block.
-fn carried_over_another(pair: &mut Pair, stage: &Stage) {
-    arm(pair);
-    let order = job(&stage.model, &true_poses(pair, &stage.model), SEED, 0);
-    let goals = vec![(CARRIED.to_string(), Pose2::new(0.08, 0.34, 0.0))];
-    pair.submit(JobOrder { goals, ..order });
-    until_found(pair, 30.0);
 }
 
 fn sight_kept() -> Plant {
@@ -230,15 +210,6 @@ fn camera_bumped(pair: &mut Pair, stage: &Stage) {
     bring_about(pair, r#"{"do": "camera.extrinsics", "args": {"translation_m": [0.006, 0, 0]}}"#);
     arm(pair);
     until_found(pair, 40.0);
-}
-
-/// What is not moved is taken for flat, and little air is kept over anything.
-fn flattened(model: &mut CellModel) {
-    for object in model.objects.iter_mut().filter(|object| object.id != CARRIED) {
-        object.height = 1e-3;
-    }
-    model.cycle.tallest = 1e-3;
-    (model.cycle.air, model.cycle.approach) = (12e-3, 12e-3);
 }
 
 /// Over the middle of the table, where the arm goes from object to object.
