@@ -151,7 +151,8 @@ fn a_limit_that_arm_or_vacuum_cannot_reach_is_named_with_the_figure() {
         "limits.joint_acceleration_deg_s2: 2000 degrees/s2 is more than the arm can do",
     );
     check("joint_acceleration_deg_s2: 120 ", "joint_acceleration_deg_s2: 1351 ", "1350 degrees/s2 at most");
-    // The lid of 0.05 kg is the lightest: half of what the cups hold beyond its weight, by four times its mass.
+    // The lid of 0.05 kg is the lightest: half of what the cups hold beyond its weight, by four times
+    // its mass.
     check(
         "tool_acceleration_m_s2: 1.0 ",
         "tool_acceleration_m_s2: 20 ",
