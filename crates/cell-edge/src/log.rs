@@ -30,7 +30,7 @@ const ENTRY_MAX: usize = 64 * 1024;
 
 static LOST: OnceLock<ErrorCounter> = OnceLock::new();
 
-/// Keeps the thread that writes; dropped, it writes what is left, for about a second at most.
+/// Keeps the log's thread alive; dropping it writes the remaining lines, within about a second.
 pub struct LogGuard(#[expect(dead_code, reason = "held until it is dropped")] WorkerGuard);
 
 /// Lines that were lost so far because nothing took them.

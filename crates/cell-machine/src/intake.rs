@@ -10,7 +10,7 @@ use crate::orders::{Order, Reply};
 use cell_values::time::Duration;
 use serde::{Deserialize, Serialize};
 
-/// An order counts for so long, s: whoever gave it has gone on to something else after that.
+/// Maximum age of an order, s: later, its sender no longer expects it to happen.
 pub const COUNTS_FOR_S: f64 = 10.0;
 
 /// Clocks of one computer agree; an order from further ahead was not stamped on this one, s.

@@ -279,7 +279,7 @@ impl Supervisor {
             return;
         }
         if let EndFault::Damaged(what) = fault {
-            // celld stays: what is held is watched, and the page shows why nothing moves.
+            // celld keeps running: it watches a held object, and the page shows why nothing moves.
             self.ledger.give_up();
             let reason = Code::JournalFailed.because(what, REPAIR_HINT);
             let locked = format!("{}; {REPAIR_HINT}", reason.message);

@@ -21,7 +21,7 @@ fn stops(all: &[Action]) -> bool {
     all.iter().any(|action| matches!(action, Action::Robot(RobotCommand::Stop)))
 }
 
-/// Nothing switches the vacuum off: what is held stays held.
+/// No action switches the vacuum off, so a held object stays held.
 fn keeps_the_vacuum(all: &[Action]) -> bool {
     !all.iter().any(|action| matches!(action, Action::Gripper(GripperCommand::Release { .. })))
 }
