@@ -75,7 +75,9 @@ pub struct RunArgs {
 pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
     cell_edge::log::log_panics();
     cell_edge::reserve::raise_limit();
-    cell_edge::reserve::fill();
+    if !cell_edge::reserve::fill() {
+        tracing::warn!("the system allows this process hardly any open files");
+    }
     let read = start_with(&args.config, &args.state).and_then(|(config, shared)| {
         let calibration = read_calibration(&config)?;
         refuse_recorded_camera(&config)?;

@@ -207,6 +207,8 @@ pub fn take_orders(
             return beat.rests();
         }
         channels.heard.looked(fault);
+        // An answer may have given its handle back.
+        let _ = cell_edge::reserve::fill();
         let until = Instant::now() + EVERY;
         loop {
             let left = until.saturating_duration_since(Instant::now());

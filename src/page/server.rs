@@ -11,6 +11,7 @@ use axum::middleware::from_fn_with_state;
 use axum::{Extension, Router};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
+use std::io;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
@@ -27,6 +28,9 @@ const HEAD_WITHIN: Duration = Duration::from_secs(2);
 /// What was sent and not read for so long ends the connection.
 const UNREAD_WITHIN: Duration = Duration::from_secs(10);
 
+/// A connection that is cut has given its handle back within this time.
+const CUT_WITHIN: Duration = Duration::from_millis(200);
+
 /// Bytes that the kernel keeps for a viewer that does not read.
 const SEND_BUFFER: usize = 64 * 1024;
 
@@ -39,7 +43,7 @@ pub enum ServeError {
         /// Which.
         address: SocketAddr,
         /// Why.
-        source: std::io::Error,
+        source: io::Error,
     },
     /// Certificate or key.
     #[error("page.tls: {file}: {reason}")]
@@ -59,7 +63,7 @@ pub enum ServeError {
     },
     /// The system has no more threads or handles.
     #[error("the page's thread cannot be started: {0}")]
-    Thread(std::io::Error),
+    Thread(io::Error),
 }
 
 /// A listener that is open, and how connections are secured.
@@ -107,13 +111,14 @@ impl Listening {
         };
         let connections = Connections::default();
         loop {
-            let (stream, peer) = match listener.accept().await {
+            let (stream, peer) = match listener.accept().await.and_then(with_handles_left) {
                 Ok(accepted) => accepted,
                 Err(error) => {
-                    // Out of handles, say: another connection gives up its own.
+                    // Another connection gives up its handle, which goes to the reserve first.
                     tracing::warn!(%error, "page: a connection could not be accepted");
                     connections.cut_one();
-                    tokio::time::sleep(Duration::from_millis(200)).await;
+                    tokio::time::sleep(CUT_WITHIN).await;
+                    let _ = cell_edge::reserve::fill();
                     continue;
                 }
             };
@@ -133,6 +138,15 @@ impl Listening {
             tokio::spawn(until_cut(served, place));
         }
     }
+}
+
+/// Closes a connection whose handle the reserve needs.
+fn with_handles_left(accepted: (TcpStream, SocketAddr)) -> io::Result<(TcpStream, SocketAddr)> {
+    if cell_edge::reserve::fill() {
+        return Ok(accepted);
+    }
+    drop(accepted);
+    Err(io::Error::from_raw_os_error(rustix::io::Errno::MFILE.raw_os_error()))
 }
 
 /// Serves a connection until it ends, or until its place is for another one.

@@ -1,8 +1,9 @@
 //! File handles kept in reserve, for a process that must still take orders when it has no handles left.
 //!
 //! In: a call that opens something. Out: its result; where the process or the system has no handle left, one
-//! from the reserve is given up and the call is tried again. The reserve is filled again as handles become
-//! free. It is opened at the start, so its numbers stay below a limit that is lowered later.
+//! from the reserve is given up and the call is tried again. Who takes orders fills the reserve again, and who
+//! accepts connections keeps none while it is not full: otherwise the next connection would take each handle
+//! that comes free. It is opened at the start, so its numbers stay below a limit that is lowered later.
 
 use rustix::process::{Resource, getrlimit, setrlimit};
 use std::fs::File;
@@ -32,13 +33,15 @@ pub fn raise_limit() {
     }
 }
 
-/// Fills the reserve as far as handles are left. Without a call of this there is no reserve.
-pub fn fill() {
+/// Fills the reserve as far as handles are left; false if that is not enough. Without a call of this there is
+/// no reserve.
+pub fn fill() -> bool {
     let mut reserve = reserve();
     while reserve.len() < SPARE {
-        let Ok(file) = File::open("/dev/null") else { return };
+        let Ok(file) = File::open("/dev/null") else { return false };
         reserve.push(file);
     }
+    true
 }
 
 /// Opens something, with handles from the reserve where there are no others.
@@ -80,7 +83,7 @@ mod tests {
 
     #[test]
     fn without_handles_the_reserve_is_used_and_an_empty_reserve_is_an_error() {
-        fill();
+        assert!(fill());
         let full = || io::Error::from_raw_os_error(rustix::io::Errno::MFILE.raw_os_error());
         let mut refusals = 3;
         let opened = with_spare(|| {
@@ -91,7 +94,7 @@ mod tests {
         assert_eq!(reserve().len(), SPARE - 3);
         assert!(with_spare::<()>(|| Err(full())).is_err());
         assert!(reserve().is_empty());
-        fill();
+        assert!(fill());
         assert_eq!(reserve().len(), SPARE);
         let absent = with_spare(|| File::open("/nowhere/at/all")).expect_err("absent");
         assert_eq!((absent.kind(), reserve().len()), (io::ErrorKind::NotFound, SPARE));
