@@ -211,7 +211,10 @@ async fn end_requested() {
 /// run.
 pub(super) fn open_shell(config: &CellConfig, seed: u64) -> Result<Shell, String> {
     let addresses = Addresses::of(&config.devices)?;
-    let clock = Clock::new(config.simulation.map_or(1.0, |simulation| simulation.clock_factor));
+    let clock = match config.simulation {
+        Some(simulation) => Clock::simulated(addresses.rtde, simulation.clock_factor),
+        None => Clock::new(1.0),
+    };
     let mut parameters = machine_parameters(config, seed);
     parameters.robot.process = std::process::id();
     Shell::open(&addresses, clock, parameters).map_err(|error| chain(&error))
@@ -290,6 +293,7 @@ async fn daemon(begin: Begin, anew: Anew, stop: Arc<AtomicBool>) -> Result<(), S
     shell.commission(model, config.arm_at_start);
     let keeper =
         keeper.with(pictures.clone(), &config_file, identities(&arm, &measured), shell.last_answers());
+    let keeper = keeper.timed_by(shell.clock());
     shell.keep_in(Box::new(keeper), reception.close()?);
     tracing::info!("celld runs; job files go into the state folder's jobs/incoming, Ctrl-C ends");
     starting.rests();

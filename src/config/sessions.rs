@@ -3,7 +3,7 @@
 //! In: a [`CellConfig`]. Out: parameters of the machine and its sessions, and what a person confirms the
 //! gripper by.
 
-use crate::config::cell::{CellConfig, Devices, SimulationConfig};
+use crate::config::cell::{CellConfig, Devices};
 use cell_machine::device::gripper_types::GripperParameters;
 use cell_machine::device::robot_types::RobotParameters;
 use cell_machine::machine::MachineParameters;
@@ -12,28 +12,9 @@ use cell_values::time::Duration;
 /// States a second requested of the robot: a state every 8 ms is fresh enough for the 100 ms limit.
 pub const RTDE_HZ: f64 = 125.0;
 
-/// In scaled time the simulator holds its clock while a client is late, for 250 ms of the wall's at most,
-/// and the computer may hold up the simulator itself.
-const HELD_WITHIN: Duration = Duration::from_millis(300);
-
-/// Below the silence (2.5 s) that the session takes for a lost link.
-const MOST_HELD: Duration = Duration::from_secs(2);
-
-/// For how long a simulated robot may be silent beyond a real one, in the cell's time. At a real robot's
-/// pace the simulator holds nothing.
-fn held_for(simulation: Option<SimulationConfig>) -> Duration {
-    match simulation {
-        Some(SimulationConfig { clock_factor }) if clock_factor > 1.0 => {
-            HELD_WITHIN.mul_f64(clock_factor.min(1e3)).min(MOST_HELD)
-        }
-        _ => Duration::ZERO,
-    }
-}
-
 /// What the machine is made with; `nonce_seed` differs from run to run.
 pub fn machine_parameters(config: &CellConfig, nonce_seed: u64) -> MachineParameters {
-    let held_for = held_for(config.simulation);
-    let robot = RobotParameters { frequency_hz: RTDE_HZ, held_for, ..RobotParameters::full_rate() };
+    let robot = RobotParameters { frequency_hz: RTDE_HZ, ..RobotParameters::full_rate() };
     MachineParameters { robot, gripper: gripper_parameters(config), nonce_seed }
 }
 

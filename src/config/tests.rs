@@ -168,22 +168,6 @@ fn a_limit_that_arm_or_vacuum_cannot_reach_is_named_with_the_figure() {
     assert!(cell(&text).is_ok(), "{}", cell(&text).unwrap_err());
 }
 
-/// In scaled time the simulator is silent for 250 ms of the wall's clock at most while it waits for celld
-/// itself.
-#[test]
-fn a_robot_may_be_silent_for_longer_only_where_its_simulator_holds_the_clock() {
-    let held = |simulation: &str| {
-        let text = replace_once(CELL, "simulation: {clock_factor: 1}", simulation);
-        machine_parameters(&cell(&text).unwrap(), 0).robot.held_for
-    };
-    let ms = Duration::from_millis;
-    assert_eq!(held("simulation: null"), ms(0));
-    assert_eq!(held("simulation: {clock_factor: 1}"), ms(0));
-    assert_eq!(held("simulation: {clock_factor: 0.5}"), ms(0));
-    assert_eq!(held("simulation: {clock_factor: 4}"), ms(1200));
-    assert_eq!(held("simulation: {clock_factor: 1000}"), ms(2000), "below the silence that ends the link");
-}
-
 #[test]
 fn parts_that_do_not_fit_are_reported() {
     let reported =

@@ -175,6 +175,11 @@ impl Shell {
         Shell { beats, beat, ..self }
     }
 
+    /// The cell's clock.
+    pub fn clock(&self) -> Clock {
+        self.clock.clone()
+    }
+
     /// The cell's time.
     pub fn now(&self) -> Timestamp {
         self.clock.now()
@@ -302,8 +307,9 @@ impl Shell {
         let first = tokio::select! {
             first = self.messages.recv() => first,
             () = self.sockets.ready() => None,
-            () = tokio::time::sleep(self.clock.wall(wait)) => None,
+            () = tokio::time::sleep(self.clock.nap(wait)) => None,
         };
+        let sent_before = self.clock.mark();
         let mut events = Vec::new();
         events.extend(self.held_up());
         if let Some(message) = first {
@@ -327,8 +333,10 @@ impl Shell {
             observer.on(now, Scene::Effect(&effect));
             self.carry_out(now, effect, observer);
         }
+        if !self.sockets.gripper_is_late() {
+            self.clock.taken_in(sent_before);
+        }
         if let Some(state) = self.machine.robot_state() {
-            self.clock.received(state.controller_time_s);
             observer.on(now, Scene::Robot(state));
         }
         if let Some((_, vacuum)) = self.machine.vacuum() {

@@ -10,8 +10,12 @@ use cell_edge::clock::Clock;
 use cell_machine::device::gripper_types::{ModbusFailure, ModbusRequest};
 use cell_machine::device::robot_types::Link;
 use cell_machine::event::Event;
+use cell_values::time::Timestamp;
 use std::net::{SocketAddr, ToSocketAddrs};
-use std::time::{Duration, Instant};
+use std::os::fd::OwnedFd;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 use tokio::net::TcpStream;
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
@@ -77,13 +81,15 @@ struct Line {
     attempt: u64,
     stream: Option<TcpStream>,
     unsent: Vec<u8>,
-    unsent_since: Option<Instant>,
+    /// In the cell's time.
+    unsent_since: Option<Timestamp>,
 }
 
 /// All connections.
 pub struct Sockets {
     lines: [Line; 3],
     gripper: mpsc::Sender<ModbusRequest>,
+    gripper_work: Arc<GripperWork>,
     clock: Clock,
     messages: mpsc::Sender<Message>,
     buffer: Vec<u8>,
@@ -105,9 +111,11 @@ impl Sockets {
             unsent: Vec::new(),
             unsent_since: None,
         };
+        let gripper_work = Arc::<GripperWork>::default();
         Sockets {
             lines: Link::ALL.map(line),
-            gripper: spawn_modbus(addresses, clock.clone(), messages.clone()),
+            gripper: spawn_modbus(addresses, clock.clone(), messages.clone(), gripper_work.clone()),
+            gripper_work,
             clock,
             messages,
             buffer: vec![0; 64 * 1024],
@@ -159,29 +167,37 @@ impl Sockets {
 
     /// Sends as much as the system takes; the rest follows.
     pub fn send(&mut self, link: Link, bytes: &[u8]) {
+        let clock = self.clock.clone();
         let line = self.line(link);
         line.unsent.extend_from_slice(bytes);
-        line.write();
+        line.write(&clock);
     }
 
     /// Starts a register transaction.
     pub fn transact(&mut self, request: ModbusRequest) {
         // One is under way at a time, so there is room; a task that has ended would be seen as silence.
+        self.gripper_work.untaken.store(true, Ordering::Relaxed);
         if self.gripper.try_send(request).is_err() {
+            self.gripper_work.untaken.store(false, Ordering::Relaxed);
             tracing::warn!("gripper queue full, request dropped");
         }
     }
 
     /// Everything that has arrived, and what has broken.
     pub fn take(&mut self, events: &mut Vec<Event>) {
-        let patience = self.clock.wall(WRITE_WITHIN);
         for line in &mut self.lines {
-            line.write();
-            if let Some(reason) = line.read(&mut self.buffer, patience, events) {
+            line.write(&self.clock);
+            if let Some(reason) = line.read(&mut self.buffer, &self.clock, events) {
                 line.close();
                 events.push(Event::Disconnected(line.link, reason));
             }
         }
+    }
+
+    /// True while the gripper's task is late: with a request that it has not taken, or an answer that it has
+    /// not read.
+    pub fn gripper_is_late(&self) -> bool {
+        self.gripper_work.waits()
     }
 
     /// Returns when something has arrived or can be sent.
@@ -205,13 +221,13 @@ impl Line {
         self.unsent_since = None;
     }
 
-    fn write(&mut self) {
+    fn write(&mut self, clock: &Clock) {
         while let Some(stream) = self.stream.as_ref().filter(|_| !self.unsent.is_empty()) {
             match stream.try_write(&self.unsent) {
                 Ok(count) => drop(self.unsent.drain(..count)),
                 // What is wrong with the connection is found when it is read.
                 Err(_) => {
-                    self.unsent_since.get_or_insert_with(Instant::now);
+                    self.unsent_since.get_or_insert_with(|| clock.now());
                     return;
                 }
             }
@@ -220,7 +236,7 @@ impl Line {
     }
 
     /// Reads until there is nothing more; the reason if the connection is over.
-    fn read(&mut self, buffer: &mut [u8], patience: Duration, events: &mut Vec<Event>) -> Option<String> {
+    fn read(&mut self, buffer: &mut [u8], clock: &Clock, events: &mut Vec<Event>) -> Option<String> {
         let stream = self.stream.as_ref()?;
         for _ in 0..READS {
             match stream.try_read(buffer) {
@@ -233,7 +249,7 @@ impl Line {
                 Err(error) => return Some(error.to_string()),
             }
         }
-        let stuck = self.unsent_since.is_some_and(|since| since.elapsed() > patience);
+        let stuck = self.unsent_since.is_some_and(|since| clock.now().since(since) > WRITE_WITHIN);
         stuck.then(|| "the controller does not read".to_string())
     }
 
@@ -251,23 +267,48 @@ impl Line {
     }
 }
 
+/// What the task of the gripper has to do.
+#[derive(Debug, Default)]
+struct GripperWork {
+    /// A request was handed over and not taken yet.
+    untaken: AtomicBool,
+    /// The socket of the connection.
+    socket: Mutex<Option<OwnedFd>>,
+}
+
+impl GripperWork {
+    fn socket(&self) -> MutexGuard<'_, Option<OwnedFd>> {
+        self.socket.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn waits(&self) -> bool {
+        let unread = |socket: &OwnedFd| rustix::io::ioctl_fionread(socket).is_ok_and(|bytes| bytes > 0);
+        self.untaken.load(Ordering::Relaxed) || self.socket().as_ref().is_some_and(unread)
+    }
+}
+
 /// Starts the task of the gripper: one request at a time, one answer each.
 fn spawn_modbus(
     &Addresses { gripper, gripper_unit, .. }: &Addresses,
     clock: Clock,
     messages: mpsc::Sender<Message>,
+    work: Arc<GripperWork>,
 ) -> mpsc::Sender<ModbusRequest> {
     let (requests_in, mut requests) = mpsc::channel::<ModbusRequest>(4);
     tokio::spawn(async move {
-        let mut connection: Option<tokio_modbus::client::Context> = None;
+        let mut connection = GripperConnection::default();
         while let Some(request) = requests.recv().await {
-            let deadline = clock.wall(ANSWER_WITHIN);
-            let exchange = exchange(&mut connection, (gripper, Slave(gripper_unit)), request);
-            let answer = tokio::time::timeout(deadline, exchange).await;
-            let answer = answer.unwrap_or(Err(ModbusFailure::Timeout));
+            work.untaken.store(false, Ordering::Relaxed);
+            let made = |socket| *work.socket() = socket;
+            let exchange = exchange(&mut connection, (gripper, Slave(gripper_unit)), request, &made);
+            let answer = tokio::select! {
+                answer = exchange => answer,
+                () = passed(&clock, ANSWER_WITHIN) => Err(ModbusFailure::Timeout),
+            };
             // After a failure the answer to an old request could be taken for that to a new one.
             if answer.is_err() {
                 connection = None;
+                *work.socket() = None;
             }
             if messages.send(Message::Event(Event::Registers(answer))).await.is_err() {
                 return;
@@ -277,21 +318,40 @@ fn spawn_modbus(
     requests_in
 }
 
-/// One request and its answer, over the connection that is there or a new one.
+/// Returns once so much of the cell's time is over.
+async fn passed(clock: &Clock, span: Duration) {
+    let until = clock.now() + span;
+    loop {
+        let left = until.since(clock.now());
+        if left.is_zero() {
+            return;
+        }
+        // The clock may stand meanwhile.
+        tokio::time::sleep(clock.wall(left)).await;
+    }
+}
+
+/// The connection to the gripper, while there is one.
+pub type GripperConnection = Option<tokio_modbus::client::Context>;
+
+/// One request and its answer, over the connection that is there or a new one; `made` is given a second
+/// handle of a new one's socket.
 ///
 /// # Errors
 /// The connection broke, or the device answers with an exception.
 pub async fn exchange(
-    connection: &mut Option<tokio_modbus::client::Context>,
+    connection: &mut GripperConnection,
     (address, unit): (SocketAddr, Slave),
     request: ModbusRequest,
+    made: &(dyn Fn(Option<OwnedFd>) + Sync),
 ) -> Result<Vec<u16>, ModbusFailure> {
     let link = |error: &dyn std::fmt::Display| ModbusFailure::Connection(error.to_string());
     let context = match connection {
         Some(context) => context,
         None => {
-            let made = tcp::connect_slave(address, unit).await.map_err(|e| link(&e))?;
-            connection.insert(made)
+            let stream = TcpStream::connect(address).await.map_err(|e| link(&e))?;
+            made(rustix::io::fcntl_dupfd_cloexec(&stream, 0).ok());
+            connection.insert(tcp::attach_slave(stream, unit))
         }
     };
     match request {

@@ -84,6 +84,9 @@ pub struct Status {
     /// What is wrong with the cell's part in its fleet, a sentence each.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub fleet: Vec<String>,
+    /// Seconds of the cell per second of the wall's clock, while the clock follows a simulator.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_factor: Option<f64>,
 }
 
 /// How long a refused file is news, s.
@@ -284,6 +287,7 @@ impl Status {
             lines.push(format!("  {}", device.text()));
         }
         lines.extend(self.fleet.iter().map(|sentence| format!("  fleet: {sentence}")));
+        lines.extend(self.time_factor.map(|factor| format!("  simulated: {factor:.2} times real time")));
         lines.join("\n")
     }
 }
@@ -310,7 +314,7 @@ mod tests {
     #[test]
     fn the_page_names_every_key_of_status_and_result_and_no_other() {
         let (fleet, shared) = (vec!["a sentence".into()], Some("fragment 3".into()));
-        let status = Status { fleet, shared, ..Status::default() };
+        let status = Status { fleet, shared, time_factor: Some(1.0), ..Status::default() };
         let status = serde_json::to_value(status).unwrap();
         let keys = status.as_object().unwrap().keys().cloned().collect::<BTreeSet<_>>();
         assert_eq!(keys_of("status.json"), keys);

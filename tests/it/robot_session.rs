@@ -4,6 +4,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that unwraps is a test that fails loudly")]
 
+use cell_edge::clock::Clock;
 use cell_machine::device::program::Nonce;
 use cell_machine::device::robot::Robot;
 use cell_machine::device::robot_types::{Link, ProgramEnd, RobotCommand, RobotEvent, RobotParameters};
@@ -15,7 +16,7 @@ use nalgebra::Isometry3;
 use std::collections::BTreeMap;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use ur_arm::kinematics::DhParameters;
 use ur_sim::camera::{CameraSetup, CameraTiming};
 use ur_sim::cell::{RunningSim, SimConfig, start};
@@ -38,6 +39,7 @@ pub fn config(running: bool) -> SimConfig {
         camera_port: 0,
         control_port: None,
         time_factor: FACTOR,
+        strict: false,
         controller: ControllerConfig { running, ..ControllerConfig::ur5e(3) },
         world: WorldSpec::bare(Isometry3::translation(-0.75, -0.4, -0.5), GripperSpec::one_cup(0.1)),
         camera: CameraSetup {
@@ -56,7 +58,7 @@ struct Cell {
     sim: RunningSim,
     robot: Robot,
     links: BTreeMap<u16, TcpStream>,
-    began: Instant,
+    clock: Clock,
     events: Vec<RobotEvent>,
     dh: DhParameters,
 }
@@ -65,9 +67,9 @@ impl Cell {
     async fn new(running: bool) -> Cell {
         let sim = start(config(running)).await.unwrap();
         let robot = Robot::new(RobotParameters::full_rate()).unwrap();
-        let began = Instant::now();
+        let clock = Clock::simulated(sim.addresses.robot.rtde, FACTOR);
         let (links, dh) = (BTreeMap::new(), DhParameters::UR5E);
-        let mut cell = Cell { sim, robot, links, began, events: Vec::new(), dh };
+        let mut cell = Cell { sim, robot, links, clock, events: Vec::new(), dh };
         for link in Link::ALL {
             cell.connect(link);
         }
@@ -82,7 +84,7 @@ impl Cell {
     }
 
     fn now(&self) -> Timestamp {
-        Timestamp::from_secs_f64(1.0 + self.began.elapsed().as_secs_f64() * FACTOR)
+        self.clock.now() + Duration::from_secs(1)
     }
 
     fn address(&self, link: Link) -> SocketAddr {
@@ -108,6 +110,7 @@ impl Cell {
 
     /// One turn: everything that arrived in, everything to send out.
     fn turn(&mut self) {
+        let sent_before = self.clock.mark();
         for link in Link::ALL {
             let mut bytes = [0; 65536];
             let Some(stream) = self.links.get_mut(&link.port()) else { continue };
@@ -124,6 +127,7 @@ impl Cell {
         while let Some((link, bytes)) = self.robot.poll_transmit() {
             self.links.get_mut(&link.port()).unwrap().write_all(&bytes).unwrap();
         }
+        self.clock.taken_in(sent_before);
         assert_eq!(self.robot.poll_close(), None, "{:?}", self.events);
         while let Some(event) = self.robot.poll_event() {
             if let RobotEvent::Kinematics { dh, .. } = &event {
@@ -269,7 +273,7 @@ async fn the_arm_stops_when_the_pc_falls_silent() {
     let status = || cell.sim.robot().controller().core.registers.output_ints[27];
     while status() != 2 {
         tokio::task::yield_now().await;
-        assert!(cell.began.elapsed().as_secs_f64() * FACTOR < PATIENCE_S, "the watchdog did not fire");
+        assert!(cell.now().as_secs_f64() < PATIENCE_S, "the watchdog did not fire");
     }
     cell.shutdown().await;
 }

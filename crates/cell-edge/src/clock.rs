@@ -1,91 +1,29 @@
 //! The one clock of the daemon: monotonic, scaled by a factor when the cell is simulated.
 //!
-//! In: the machine's monotonic clock and a factor, or the [`Pace`] of a simulation in the same process. Out:
-//! [`Timestamp`]s since the clock was made. Every deadline and poll rate is counted on this clock, so none
-//! changes its meaning when the simulation runs faster. A clock that follows a pace stops while the
-//! simulation is held up, so that a busy computer slows both sides instead of making the robot look silent.
+//! In: the machine's monotonic clock and a factor, and the clock channel of our simulator where the cell is
+//! simulated. Out: [`Timestamp`]s since the clock was made. Every deadline and poll rate is counted on this
+//! clock, so none changes its meaning when the simulation runs faster. A clock that follows a simulator
+//! stands while that does, so that a busy computer slows both sides instead of making the robot look silent.
 //! The calendar time is read here too, for names and records only.
 
+use crate::clock_channel::Following;
 use cell_values::time::{Duration, Timestamp};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
-/// A pace that has not moved for so long (wall time) is no pace any more: the clock goes on by itself, so
-/// that every deadline still comes.
-const PACE_LOST: Duration = Duration::from_secs(2);
-
-/// Simulated time that the simulation may be ahead of a follower of its clock: five states at 125 Hz, and
-/// well below the age at which a state counts as stale.
-const LEAD: Duration = Duration::from_millis(40);
-
-/// Means "no follower".
-const NO_FOLLOWER: u64 = u64::MAX;
-
-/// How far a simulation has come, written by its frame thread, and how far a daemon in the same process has
-/// taken it in.
-#[derive(Debug)]
-pub struct Pace {
-    start: Instant,
-    /// The controller's own time at simulated time zero, s.
-    epoch_s: f64,
-    simulated_us: AtomicU64,
-    wall_us: AtomicU64,
-    received_us: AtomicU64,
-}
-
-impl Pace {
-    /// A simulation that starts now, its controller's clock at `epoch_s`.
-    pub fn new(epoch_s: f64) -> Pace {
-        Pace {
-            start: Instant::now(),
-            epoch_s,
-            simulated_us: AtomicU64::new(0),
-            wall_us: AtomicU64::new(0),
-            received_us: AtomicU64::new(NO_FOLLOWER),
-        }
-    }
-
-    /// True while a follower has not yet taken in what happened `LEAD` ago: the simulation has to wait.
-    pub fn ahead(&self) -> bool {
-        let received = self.received_us.load(Ordering::Relaxed);
-        received != NO_FOLLOWER
-            && self.simulated_us.load(Ordering::Relaxed).saturating_sub(received) > LEAD.as_micros() as u64
-    }
-
-    /// Waits no longer, until the follower reports again.
-    pub fn give_up(&self) {
-        self.received_us.store(NO_FOLLOWER, Ordering::Relaxed);
-    }
-
-    /// Notes that so much simulated time is over.
-    pub fn reached(&self, simulated: Duration) {
-        self.simulated_us.store(simulated.as_micros() as u64, Ordering::Relaxed);
-        self.wall_us.store(self.start.elapsed().as_micros() as u64, Ordering::Relaxed);
-    }
-
-    /// Simulated seconds per second of wall time so far; 1 before the first.
-    pub fn factor(&self) -> f64 {
-        let wall = self.wall_us.load(Ordering::Relaxed);
-        let simulated = self.simulated_us.load(Ordering::Relaxed);
-        if wall == 0 { 1.0 } else { simulated as f64 / wall as f64 }
-    }
-
-    /// Simulated time, which goes on at `factor` once the simulation has not moved for [`PACE_LOST`].
-    fn now(&self, factor: f64) -> Duration {
-        let silent =
-            self.start.elapsed().saturating_sub(Duration::from_micros(self.wall_us.load(Ordering::Relaxed)));
-        let simulated = Duration::from_micros(self.simulated_us.load(Ordering::Relaxed));
-        simulated + silent.saturating_sub(PACE_LOST).mul_f64(factor)
-    }
-}
+/// Longest nap beside a simulator, in scaled time: a fraction of the time it may be ahead.
+const LONGEST_NAP: Duration = Duration::from_millis(10);
 
 #[derive(Clone, Debug)]
 enum Source {
     Wall(Instant),
-    /// With the latest time that was handed out: a pace that is found again must not turn time back.
-    Paced(Arc<Pace>, Arc<AtomicU64>),
+    Simulator(Arc<Mutex<Following>>),
 }
+
+/// How far a simulator had come at one moment; nothing on any other clock.
+#[derive(Clone, Copy, Debug)]
+pub struct Mark(Option<Duration>);
 
 /// A monotonic clock that runs `factor` times as fast as the machine's. Clones stay in step.
 #[derive(Clone, Debug)]
@@ -100,28 +38,42 @@ impl Clock {
         Clock { source: Source::Wall(Instant::now()), factor: sound(factor) }
     }
 
-    /// A clock that shows simulated time; `factor` is the one the simulation aims at, for waits.
-    pub fn paced(pace: Arc<Pace>, factor: f64) -> Clock {
-        Clock { source: Source::Paced(pace, Arc::default()), factor: sound(factor) }
+    /// A clock that follows the simulator whose RTDE server has this address, while it has a clock channel;
+    /// else as [`Clock::new`]. For cells that are configured as simulated, and no others.
+    pub fn simulated(rtde: SocketAddr, factor: f64) -> Clock {
+        let factor = sound(factor);
+        Clock { source: Source::Simulator(Arc::new(Mutex::new(Following::new(rtde, factor)))), factor }
     }
 
-    /// Scaled time since the clock was made, or simulated time.
+    /// Scaled time since the clock was made.
     pub fn now(&self) -> Timestamp {
         match &self.source {
             Source::Wall(origin) => Timestamp::from_secs_f64(origin.elapsed().as_secs_f64() * self.factor),
-            Source::Paced(pace, latest) => {
-                let now = pace.now(self.factor).as_nanos() as u64;
-                let latest = latest.fetch_max(now, Ordering::Relaxed).max(now);
-                Timestamp::ZERO + Duration::from_nanos(latest)
-            }
+            Source::Simulator(following) => Timestamp::ZERO + lock(following).at(Instant::now()),
         }
     }
 
-    /// Reports to a simulation in this process that its state of controller time `at_s` has been taken in.
-    pub fn received(&self, at_s: f64) {
-        if let Source::Paced(pace, _) = &self.source {
-            let received = ((at_s - pace.epoch_s).max(0.0) * 1e6) as u64;
-            pace.received_us.store(received.min(NO_FOLLOWER - 1), Ordering::Relaxed);
+    /// How far the simulator is: everything that it has sent before can be read now.
+    pub fn mark(&self) -> Mark {
+        Mark(match &self.source {
+            Source::Wall(_) => None,
+            Source::Simulator(following) => lock(following).simulated(Instant::now()),
+        })
+    }
+
+    /// Reports to the simulator that everything it had sent before the mark has been taken in, and that what
+    /// came of it is on its way.
+    pub fn taken_in(&self, mark: Mark) {
+        if let (Source::Simulator(following), Mark(Some(simulated))) = (&self.source, mark) {
+            lock(following).taken_in(simulated, Instant::now());
+        }
+    }
+
+    /// Seconds of this clock per second of the wall's, lately; none unless a simulator is followed.
+    pub fn factor_reached(&self) -> Option<f64> {
+        match &self.source {
+            Source::Wall(_) => None,
+            Source::Simulator(following) => lock(following).factor_reached(),
         }
     }
 
@@ -130,10 +82,22 @@ impl Clock {
         self.factor
     }
 
-    /// The wall time that a stretch of this clock's time takes.
+    /// The wall time that a stretch of this clock's time takes, unless a simulator holds its time.
     pub fn wall(&self, scaled: Duration) -> Duration {
         scaled.div_f64(self.factor)
     }
+
+    /// Wall time to sleep at most while such a stretch is waited for: a simulator is answered in between.
+    pub fn nap(&self, scaled: Duration) -> Duration {
+        match &self.source {
+            Source::Wall(_) => self.wall(scaled),
+            Source::Simulator(_) => self.wall(scaled.min(LONGEST_NAP)),
+        }
+    }
+}
+
+fn lock(following: &Mutex<Following>) -> MutexGuard<'_, Following> {
+    following.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn sound(factor: f64) -> f64 {
@@ -162,6 +126,7 @@ pub fn boot_id() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::clock_channel::ClockServer;
 
     #[test]
     fn a_boot_has_one_id() {
@@ -186,43 +151,33 @@ mod tests {
     }
 
     #[test]
-    fn a_paced_clock_stands_with_its_simulation_and_never_goes_back() {
-        let pace = Arc::new(Pace::new(41.0));
-        let clock = Clock::paced(pace.clone(), 5.0);
-        pace.reached(Duration::from_secs(3));
-        let at = |seconds: f64| Timestamp::from_secs_f64(seconds);
-        assert_eq!((clock.now(), clock.clone().now()), (at(3.0), at(3.0)));
-        pace.reached(Duration::from_secs(4));
-        assert_eq!(clock.now(), at(4.0));
-        // As after a stall during which the clock went on by itself.
-        pace.reached(Duration::from_secs(1));
-        assert_eq!(clock.now(), at(4.0));
+    fn clones_follow_the_same_simulator() {
+        let rtde = SocketAddr::from(([127, 77, 2, 1], 1));
+        let mut server = ClockServer::open(rtde).unwrap();
+        let clock = Clock::simulated(rtde, 5.0);
+        let clone = clock.clone();
+        clock.now();
+        server.reached(Duration::from_secs(3), Instant::now());
+        let at = clock.now();
+        assert_eq!(clone.now(), at);
+        let mark = clone.mark();
+        server.reached(Duration::from_secs(4), Instant::now());
+        assert_eq!(clone.now().since(at), Duration::from_secs(1));
+        clock.taken_in(mark);
+        assert!(server.holds(Instant::now()), "the mark was made a second ago");
+        clone.taken_in(clock.mark());
+        assert!(!server.holds(Instant::now()));
     }
 
+    /// A real robot may have a simulator's address, at the end of a tunnel.
     #[test]
-    fn the_simulation_waits_for_its_follower_and_only_for_one() {
-        let pace = Arc::new(Pace::new(41.0));
-        let clock = Clock::paced(pace.clone(), 5.0);
-        pace.reached(Duration::from_secs(3));
-        assert!(!pace.ahead(), "nobody follows yet");
-        clock.received(43.9);
-        assert!(pace.ahead(), "100 ms are too many");
-        clock.received(43.98);
-        assert!(!pace.ahead());
-        clock.received(43.9);
-        pace.give_up();
-        assert!(!pace.ahead());
-        Clock::new(5.0).received(1.0);
-    }
-
-    #[test]
-    fn a_simulation_that_has_died_does_not_stop_the_clock() {
-        let start = Instant::now().checked_sub(Duration::from_secs(10)).expect("the machine runs that long");
-        let pace = Pace { start, ..Pace::new(0.0) };
-        pace.simulated_us.store(1_000_000, Ordering::Relaxed);
-        pace.wall_us.store(1_000_000, Ordering::Relaxed);
-        // 9 s of silence, 7 beyond the patience, at factor 2.
-        let now = pace.now(2.0).as_secs_f64();
-        assert!((15.0..16.0).contains(&now), "{now}");
+    fn a_real_cell_follows_no_simulator() {
+        let rtde = SocketAddr::from(([127, 77, 2, 1], 2));
+        let mut server = ClockServer::open(rtde).unwrap();
+        let clock = Clock::new(1.0);
+        clock.taken_in(clock.mark());
+        server.reached(Duration::from_secs(3), Instant::now());
+        assert!(!server.is_followed() && clock.factor_reached().is_none());
+        assert_eq!(clock.nap(Duration::from_secs(5)), Duration::from_secs(5));
     }
 }

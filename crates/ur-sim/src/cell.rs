@@ -13,7 +13,7 @@ use crate::core::Core;
 use crate::faults::injector::FaultInjector;
 use crate::faults::link::LinkName;
 use crate::faults::{FaultError, Planned};
-use crate::frames::{self, Progress};
+use crate::frames::{self, Holding, Progress};
 use crate::robot_server::shared::RobotShared;
 use crate::robot_server::{ROBOTIQ_PORT, RobotAddresses, RobotPorts, TOOL_SERIAL_PORT};
 use crate::script_sockets::TcpScriptSockets;
@@ -21,7 +21,7 @@ use crate::serve::{ListenError, Servers, listen};
 use crate::session::Port;
 use crate::world::spec::{WorldError, WorldSpec};
 use crate::world::{SharedWorld, World};
-use cell_edge::clock::Pace;
+use cell_edge::clock_channel::{self, ClockServer};
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -43,6 +43,8 @@ pub struct SimConfig {
     pub control_port: Option<u16>,
     /// Simulated seconds per second.
     pub time_factor: f64,
+    /// Simulated time is held for nobody.
+    pub strict: bool,
     /// The controller and the arm.
     pub controller: ControllerConfig,
     /// Table, objects and gripper.
@@ -101,6 +103,15 @@ pub enum SimError {
     /// An address is taken or not ours.
     #[error("the simulation cannot listen")]
     Listen(#[from] ListenError),
+    /// Another process has the name.
+    #[error("the clock channel {name:?} cannot be opened")]
+    Clock {
+        /// Of the channel.
+        name: String,
+        /// Why.
+        #[source]
+        source: std::io::Error,
+    },
     /// The frame thread cannot be started.
     #[error("the simulation's frame thread cannot be started")]
     Thread(#[source] std::io::Error),
@@ -117,6 +128,8 @@ pub struct SimAddresses {
     pub camera: SocketAddr,
     /// The control server, if it was requested.
     pub control: Option<SocketAddr>,
+    /// Whether it has a clock channel, which has the name of the RTDE server's address.
+    pub clock: bool,
 }
 
 /// A running simulation; it ends with [`RunningSim::shutdown`] or when it is dropped.
@@ -158,6 +171,7 @@ pub async fn start(config: SimConfig) -> Result<RunningSim, SimError> {
         modbus: gripper.1,
         camera: camera.1,
         control: control.as_ref().map(|(_, address)| *address),
+        clock: !config.strict,
     };
     let own = [(ROBOTIQ_PORT, addresses.robot.robotiq), (TOOL_SERIAL_PORT, addresses.robot.tool_serial)];
     let sockets = TcpScriptSockets::from_address(config.bind).with_own(own);
@@ -172,14 +186,25 @@ pub async fn start(config: SimConfig) -> Result<RunningSim, SimError> {
         let control = control_server::serve(listener, world, injector, until(&stopped));
         tasks.spawn(async move { report("control server", control.await) });
     }
-    let progress = Arc::new(Progress::new(core.robot.controller().core.timestamp()));
+    let holding = holding(config.strict, config.time_factor, addresses.robot.rtde)?;
+    let progress = Arc::new(Progress::default());
     let frames = {
         let (core, progress, factor) = (core.clone(), progress.clone(), config.time_factor);
-        let body = move || frames::run(&core, &progress, factor, &stopped);
+        let body = move || frames::run(&core, &progress, factor, holding, &stopped);
         std::thread::Builder::new().name("sim-frames".to_owned()).spawn(body).map_err(SimError::Thread)?
     };
     let (frames, servers) = (Some(frames), Some((servers, tasks)));
     Ok(RunningSim { addresses, core, progress, stop, frames, servers })
+}
+
+/// For whom simulated time is held.
+fn holding(strict: bool, factor: f64, rtde: SocketAddr) -> Result<Holding, SimError> {
+    if strict {
+        return Ok(Holding { clock: None, slow_readers: false });
+    }
+    let clock = ClockServer::open(rtde);
+    let clock = clock.map_err(|source| SimError::Clock { name: clock_channel::name(rtde), source })?;
+    Ok(Holding { clock: Some(clock), slow_readers: factor > 1.0 })
 }
 
 /// Resolves when the simulation ends.
@@ -215,12 +240,7 @@ impl RunningSim {
 
     /// Simulated seconds per second since the start.
     pub fn factor_reached(&self) -> f64 {
-        self.progress.pace.factor()
-    }
-
-    /// Simulated time as it goes on, for a daemon in the same process.
-    pub fn pace(&self) -> Arc<Pace> {
-        self.progress.pace.clone()
+        self.progress.factor()
     }
 
     /// Seconds of wall time for which simulated time was held for clients.
@@ -270,6 +290,7 @@ mod tests {
             camera_port: 0,
             control_port: Some(0),
             time_factor,
+            strict: false,
             controller: ControllerConfig { running: true, ..ControllerConfig::ur5e(1) },
             world: WorldSpec::bare(Isometry3::translation(-0.75, -0.4, 0.0), GripperSpec::one_cup(0.2)),
             camera: CameraSetup {

@@ -28,8 +28,8 @@ use crate::robot_server::{RobotPorts, TOOL_SERIAL_PORT};
 use crate::world::drive::Drive;
 use crate::world::spec;
 use crate::world::vacuum::Channel;
-use cell_edge::priority;
 use cell_edge::terminal::{complain, print, within};
+use cell_edge::{clock_channel, priority};
 use cell_parts::gripper::CupChannel;
 use check_script::check_scripts;
 use clap::Args;
@@ -70,6 +70,9 @@ pub struct SimArgs {
     /// Simulated seconds per second, instead of the configuration's.
     #[arg(long, value_name = "F", value_parser = time_factor)]
     time_factor: Option<f64>,
+    /// Wait for nobody: no clock channel for celld, and frames are skipped for clients that read too slowly.
+    #[arg(long)]
+    strict: bool,
     /// What goes wrong and when (docs/faults.md); nothing without it.
     #[arg(long, value_name = "FILE")]
     faults: Option<PathBuf>,
@@ -156,6 +159,7 @@ pub fn run(args: &SimArgs) -> u8 {
     }
     let mut config = sim_config(&file, bind, RobotPorts::REAL);
     config.time_factor = args.time_factor.unwrap_or(file.time_factor);
+    config.strict = args.strict;
     match args.faults.as_deref().map_or(Ok(Vec::new()), faults_of) {
         Ok(faults) => config.faults = faults,
         Err(message) => {
@@ -229,6 +233,7 @@ async fn serve(config: SimConfig, port_offset: u16, until_eof: bool) -> u8 {
         "modbus": addresses.modbus.to_string(),
         "camera": addresses.camera.to_string(),
         "control": addresses.control.map(|control| control.to_string()),
+        "clock": addresses.clock.then(|| clock_channel::name(addresses.robot.rtde)),
     });
     print(&format!("{ready}\n"));
     ended.await;
@@ -266,6 +271,7 @@ pub fn sim_config(file: &SimFile, bind: IpAddr, ports: RobotPorts) -> SimConfig 
         camera_port: file.ports.camera,
         control_port: None,
         time_factor: file.time_factor,
+        strict: false,
         controller: controller_config(file),
         world: spec::WorldSpec {
             table: spec::TableSpec { width_m: file.width_m, height_m: file.height_m, margin_m: MARGIN_M },

@@ -2,26 +2,20 @@
 //!
 //! In: the [`Core`], a time factor, a stop signal. Out: one [`Core::advance`] per frame, and [`Progress`]. A
 //! frame is 2 ms of simulated time and is due every 2 ms / factor of wall time. Frames that come late push
-//! the later ones back instead of being made up for in a burst: clients would see time jump. With a factor
-//! above 1 the clients' processes may be the slow ones; then simulated time is held, within bounds, while a
-//! client that writes regularly is late or one that reads is behind.
+//! the later ones back instead of being made up for in a burst: clients would see time jump. Simulated time
+//! is held, within bounds, for a daemon that follows it over the clock channel ([`Holding`]), and with a
+//! factor above 1 for a client that reads too slowly. No other client is waited for.
 
 use crate::core::Core;
 use crate::motion::FRAME_SECONDS;
-use crate::robot_server::shared::RobotShared;
-use cell_edge::clock::Pace;
+use cell_edge::clock_channel::ClockServer;
 use cell_edge::priority;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
 
-/// Longest that simulated time is held for a client, wall time.
+/// Longest that simulated time is held for a client that does not read, wall time.
 const LONGEST_HOLD: Duration = Duration::from_millis(250);
-
-/// Longest that simulated time waits for a daemon that follows it, wall time; below `cell_edge::clock`'s own
-/// patience.
-const LONGEST_WAIT: Duration = Duration::from_millis(1500);
 
 /// How often a held frame looks whether it may go on.
 const HOLD_POLL: Duration = Duration::from_micros(200);
@@ -66,26 +60,99 @@ impl Schedule {
 /// What the frame thread reports to the rest of the process.
 #[derive(Debug)]
 pub struct Progress {
-    /// Simulated time as it goes on.
-    pub pace: Arc<Pace>,
-    /// For how long it was held, us of wall time.
+    start: Instant,
+    simulated_us: AtomicU64,
+    wall_us: AtomicU64,
+    /// For how long simulated time was held, us of wall time.
     held_us: AtomicU64,
 }
 
-impl Progress {
-    /// Nothing was simulated yet; the controller's clock shows `epoch_s`.
-    pub fn new(epoch_s: f64) -> Progress {
-        Progress { pace: Arc::new(Pace::new(epoch_s)), held_us: AtomicU64::new(0) }
+impl Default for Progress {
+    /// Nothing was simulated yet.
+    fn default() -> Progress {
+        let nothing = || AtomicU64::new(0);
+        Progress { start: Instant::now(), simulated_us: nothing(), wall_us: nothing(), held_us: nothing() }
     }
+}
 
-    /// Seconds of wall time for which simulated time was held for clients.
+impl Progress {
+    /// Seconds of wall time for which simulated time was held for others.
     pub fn seconds_held(&self) -> f64 {
         self.held_us.load(Ordering::Relaxed) as f64 * 1e-6
+    }
+
+    /// Simulated seconds per second of wall time so far; 1 before the first.
+    pub fn factor(&self) -> f64 {
+        let wall = self.wall_us.load(Ordering::Relaxed);
+        let simulated = self.simulated_us.load(Ordering::Relaxed);
+        if wall == 0 { 1.0 } else { simulated as f64 / wall as f64 }
+    }
+
+    fn reached(&self, simulated: Duration) {
+        self.simulated_us.store(simulated.as_micros() as u64, Ordering::Relaxed);
+        self.wall_us.store(self.start.elapsed().as_micros() as u64, Ordering::Relaxed);
+    }
+}
+
+/// For whom simulated time is held.
+#[derive(Debug)]
+pub struct Holding {
+    /// Daemons that follow the simulator's time: while one is late, or the simulator's own tasks are late with
+    /// what it sends and is sent.
+    pub clock: Option<ClockServer>,
+    /// Clients that read too slowly to get every frame.
+    pub slow_readers: bool,
+}
+
+impl Holding {
+    /// A frame has ended: the followers are told.
+    fn reached(&mut self, core: &Core, simulated: Duration) {
+        if let Some(clock) = &mut self.clock {
+            clock.reached(simulated, Instant::now());
+            if clock.is_followed() {
+                core.robot.lateness.frame();
+            }
+        }
+    }
+
+    /// Holds the time for as long as it has to be; for how long that was.
+    fn hold(&mut self, core: &Core, stopped: &watch::Receiver<bool>) -> Duration {
+        let start = Instant::now();
+        let mut now = start;
+        while self.holds(core, start, now) && !*stopped.borrow() {
+            std::thread::sleep(HOLD_POLL);
+            now = Instant::now();
+        }
+        now - start
+    }
+
+    /// Each wait is bounded, so that a dead client does not stop the time.
+    fn holds(&mut self, core: &Core, start: Instant, now: Instant) -> bool {
+        if let Some(clock) = &mut self.clock
+            && clock.is_followed()
+            && (clock.holds(now) || core.robot.lateness.holds(now))
+        {
+            return true;
+        }
+        if !self.slow_readers || !core.robot.publisher().a_client_is_behind() {
+            return false;
+        }
+        let patient = now - start < LONGEST_HOLD;
+        if !patient {
+            core.robot.publisher().give_up();
+        }
+        patient
     }
 }
 
 /// Advances the core, frame by frame and `factor` times as fast as the wall's clock, until the signal.
-pub fn run(core: &Core, progress: &Progress, factor: f64, stopped: &watch::Receiver<bool>) {
+pub fn run(
+    core: &Core,
+    progress: &Progress,
+    factor: f64,
+    mut holding: Holding,
+    stopped: &watch::Receiver<bool>,
+) {
     // Clients measure silence on their own clocks; drawing pictures and planning can wait. Faster than real
     // time this thread may fill a core, which would then be lost to the clients it is meant for.
     if factor > 1.0 {
@@ -98,14 +165,13 @@ pub fn run(core: &Core, progress: &Progress, factor: f64, stopped: &watch::Recei
     let mut schedule = Schedule::new(factor, Instant::now());
     let (mut frames, mut sleepless): (u64, u32) = (0, 0);
     while !*stopped.borrow() && stopped.has_changed().is_ok() {
-        if factor > 1.0 {
-            let held = hold(&core.robot, stopped);
-            progress.held_us.fetch_add(held.as_micros() as u64, Ordering::Relaxed);
-        }
-        wait_for_follower(progress, stopped);
+        let held = holding.hold(core, stopped);
+        progress.held_us.fetch_add(held.as_micros() as u64, Ordering::Relaxed);
         core.advance(Some(schedule.intended));
         frames += 1;
-        progress.pace.reached(Duration::from_secs_f64(frames as f64 * FRAME_SECONDS));
+        let simulated = Duration::from_secs_f64(frames as f64 * FRAME_SECONDS);
+        progress.reached(simulated);
+        holding.reached(core, simulated);
         let alone = factor > 1.0 && !core.robot.publisher().has_clients();
         let tolerated = if alone { UNWATCHED_LATENESS } else { TOLERATED_LATENESS };
         let wait = schedule.wait(Instant::now(), tolerated);
@@ -120,45 +186,6 @@ pub fn run(core: &Core, progress: &Progress, factor: f64, stopped: &watch::Recei
             std::thread::sleep(wait);
         }
     }
-}
-
-/// Waits for a daemon in the same process that reads this simulation's clock; what it has not received must
-/// not look stale to it.
-fn wait_for_follower(progress: &Progress, stopped: &watch::Receiver<bool>) {
-    let start = Instant::now();
-    while progress.pace.ahead() {
-        if start.elapsed() >= LONGEST_WAIT || *stopped.borrow() {
-            progress.pace.give_up();
-            break;
-        }
-        std::thread::sleep(HOLD_POLL);
-        progress.held_us.fetch_add(HOLD_POLL.as_micros() as u64, Ordering::Relaxed);
-    }
-}
-
-/// Waits while a client is late or behind; then gives those up, so that a dead one does not stop the time.
-fn hold(robot: &RobotShared, stopped: &watch::Receiver<bool>) -> Duration {
-    let (step, playing) = {
-        let controller = robot.controller();
-        (controller.core.step, controller.programs.playing())
-    };
-    // Only a running program checks for signs of life; without one a client may stop writing at any time.
-    let waiting = || {
-        let publisher = robot.publisher();
-        (playing && publisher.a_client_is_late(step)) || publisher.a_client_is_behind()
-    };
-    if !waiting() {
-        return Duration::ZERO;
-    }
-    let start = Instant::now();
-    while waiting() {
-        if start.elapsed() >= LONGEST_HOLD || *stopped.borrow() {
-            robot.publisher().give_up(step);
-            break;
-        }
-        std::thread::sleep(HOLD_POLL);
-    }
-    start.elapsed()
 }
 
 #[cfg(test)]

@@ -109,7 +109,7 @@ async fn with_sim(
         gripper: sim.addresses.modbus,
         gripper_unit: config.devices.gripper_unit,
     };
-    let clock = Clock::paced(sim.pace(), choice.time_factor);
+    let clock = Clock::simulated(sim.addresses.robot.rtde, choice.time_factor);
     let mut parameters = machine_parameters(config, choice.seed.wrapping_add(1));
     parameters.robot.process = std::process::id();
     let mut shell = Shell::open(&addresses, clock, parameters).map_err(|error| chain(&error))?;

@@ -50,9 +50,8 @@ fn registers(devices: &Devices) -> (Result<[f64; 2], String>, Option<[u16; 2]>) 
         let mut connection = None;
         let mut read = async |first| {
             let request = ModbusRequest::Read { address: first, count: 2 };
-            match tokio::time::timeout(ANSWER_WITHIN, exchange(&mut connection, (address, unit), request))
-                .await
-            {
+            let exchange = exchange(&mut connection, (address, unit), request, &|_| {});
+            match tokio::time::timeout(ANSWER_WITHIN, exchange).await {
                 Ok(answer) => answer.map_err(|failure| failure.to_string()),
                 Err(_) => Err(format!("no answer within {} s", ANSWER_WITHIN.as_secs())),
             }

@@ -48,7 +48,6 @@ const FAULT_WINDOW: Duration = Duration::from_secs(60);
 /// The session. See the module.
 #[derive(Deserialize, Serialize)]
 pub struct Robot {
-    held_for: Duration,
     template: ProgramTemplate,
     rtde: RtdeSession,
     dashboard: DashboardSession,
@@ -97,7 +96,6 @@ impl Robot {
     /// The program text is not a template.
     pub fn new(parameters: RobotParameters) -> Result<Robot, TemplateError> {
         Ok(Robot {
-            held_for: parameters.held_for,
             template: ProgramTemplate::new(&parameters.program_text, parameters.watchdog_frames)?,
             rtde: RtdeSession::new(parameters.frequency_hz, parameters.process),
             dashboard: DashboardSession::default(),
@@ -240,7 +238,7 @@ impl Robot {
 
     /// True if the state may be used to start a motion.
     pub fn fresh(&self, now: Timestamp) -> bool {
-        self.state.as_ref().is_some_and(|state| now.since(state.received) <= STALE_AFTER + self.held_for)
+        self.state.as_ref().is_some_and(|state| now.since(state.received) <= STALE_AFTER)
     }
 
     /// True unless a program is being started, stopped or ended: a new one would be refused meanwhile.

@@ -85,22 +85,13 @@ pub struct RobotParameters {
     pub frequency_hz: f64,
     /// The number of this process, for another celld that finds the robot taken.
     pub process: u32,
-    /// So much longer than a real robot a simulated one may be silent: for as long its simulator may hold
-    /// its clock. Zero on a real robot.
-    pub held_for: Duration,
 }
 
 impl RobotParameters {
     /// celld's own program at the controller's full rate.
     pub fn full_rate() -> RobotParameters {
         let program_text = PROGRAM_TEXT.to_string();
-        RobotParameters {
-            program_text,
-            watchdog_frames: WATCHDOG_FRAMES,
-            frequency_hz: 500.0,
-            process: 1,
-            held_for: Duration::ZERO,
-        }
+        RobotParameters { program_text, watchdog_frames: WATCHDOG_FRAMES, frequency_hz: 500.0, process: 1 }
     }
 }
 

@@ -58,6 +58,7 @@ pub(super) fn config() -> SimConfig {
         camera_port: 0,
         control_port: Some(0),
         time_factor: FACTOR,
+        strict: false,
         controller,
         world: WorldSpec {
             table: TableSpec { width_m: 1.0, height_m: 1.0, margin_m: 0.1 },

@@ -156,6 +156,11 @@ impl Line {
         Passed::Queued
     }
 
+    /// Something is queued that is not written yet.
+    pub fn has_queued(&self) -> bool {
+        *self.backlog.lock() > 0
+    }
+
     /// The queue is more than half full.
     pub fn is_behind(&self) -> bool {
         self.queue.capacity() < QUEUE / 2

@@ -10,6 +10,8 @@ pub mod dashboard;
 
 pub mod interpreter;
 
+pub mod lateness;
+
 pub mod line;
 
 pub mod modbus;

@@ -6,8 +6,7 @@
 //! skipped, never stored elsewhere. An RTDE client that stays behind for 10 s is dropped, as on the
 //! controller; the others are not, because real clients keep a script connection open for hours without
 //! reading it. Clients with equal recipes share one encoding.
-//! Also here, because it concerns the same connections: when a client that writes inputs regularly is late,
-//! and how punctual packages are on their way out.
+//! Also here, because it concerns the same connections: how punctual packages are on their way out.
 
 use crate::controller::outputs::Output;
 use crate::controller::registers::ClientId;
@@ -29,10 +28,6 @@ const PATIENCE: u64 = 10 * FRAMES_PER_SECOND;
 
 /// Frames between two robot states (10 Hz).
 const STATE_INTERVAL: u64 = FRAMES_PER_SECOND / 10;
-
-/// Frames of silence after which a regular writer is late (60 ms), and intervals that make one regular.
-const LATE_FRAMES: u64 = 30;
-const REGULAR_INTERVALS: u32 = 5;
 
 /// Sender of robot messages as the vendor's interface numbers it.
 const SOURCE_ROBOT: i8 = -3;
@@ -98,14 +93,6 @@ struct Client {
     given_up: bool,
     subscription: Option<Subscription>,
     started: bool,
-    writes: Writes,
-}
-
-/// When a client wrote inputs.
-#[derive(Debug, Default)]
-struct Writes {
-    last_step: u64,
-    intervals: u32,
 }
 
 /// All connections that are sent something.
@@ -142,7 +129,6 @@ impl Publisher {
             given_up: false,
             subscription: None,
             started: false,
-            writes: Writes::default(),
         });
         (id, inlet)
     }
@@ -186,35 +172,14 @@ impl Publisher {
         }
     }
 
-    /// Notes that a client wrote inputs in the frame `step`.
-    pub fn wrote(&mut self, id: ClientId, step: u64) {
-        let Some(client) = self.find(id) else { return };
-        let gap = step.saturating_sub(client.writes.last_step);
-        // Several packages in one frame are one sign of life.
-        if gap > 0 {
-            client.writes.intervals =
-                if gap <= LATE_FRAMES { client.writes.intervals.saturating_add(1) } else { 0 };
-            client.writes.last_step = step;
-        }
-    }
-
-    /// A client that writes regularly has not written for 60 ms.
-    pub fn a_client_is_late(&self, step: u64) -> bool {
-        self.clients.iter().any(|client| client.is_late(step))
-    }
-
     /// An RTDE client's queue is more than half full, and was not given up.
     pub fn a_client_is_behind(&self) -> bool {
         self.clients.iter().any(Client::is_behind)
     }
 
-    /// Gives up waiting: who is late counts as irregular until it writes regularly again, who is behind
-    /// until its queue has room again.
-    pub fn give_up(&mut self, step: u64) {
+    /// Gives up waiting for the clients that are behind, until their queues have room again.
+    pub fn give_up(&mut self) {
         for client in &mut self.clients {
-            if client.is_late(step) {
-                client.writes.intervals = 0;
-            }
             client.given_up |= client.is_behind();
         }
     }
@@ -355,10 +320,6 @@ impl Publisher {
 impl Client {
     fn is_behind(&self) -> bool {
         self.started && !self.given_up && self.line.is_behind()
-    }
-
-    fn is_late(&self, step: u64) -> bool {
-        self.writes.intervals >= REGULAR_INTERVALS && step.saturating_sub(self.writes.last_step) > LATE_FRAMES
     }
 
     /// Sends a package, or counts the frames it was to last if there is no room.

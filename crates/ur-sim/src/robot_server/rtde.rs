@@ -172,8 +172,6 @@ impl Session {
             Ok(values) => {
                 let mut controller = shared.controller();
                 controller.core.registers.write(&input.fields, &values);
-                let step = controller.core.step;
-                shared.publisher().wrote(self.id, step);
                 None
             }
             Err(error) => Some((self.text(&format!("input recipe {recipe}: {error}")), self.version)),

@@ -8,6 +8,7 @@
 use crate::controller::Controller;
 use crate::faults::link::Links;
 use crate::robot_server::latency::LatencyHistogram;
+use crate::robot_server::lateness::Lateness;
 use crate::robot_server::publisher::Publisher;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Instant;
@@ -21,6 +22,8 @@ pub struct RobotShared {
     pub links: Links,
     /// How late RTDE packages leave.
     pub latency: LatencyHistogram,
+    /// How late the tasks of its connections are.
+    pub lateness: Lateness,
 }
 
 impl RobotShared {
@@ -31,6 +34,7 @@ impl RobotShared {
             publisher: Mutex::new(Publisher::default()),
             links: Links::default(),
             latency: LatencyHistogram::default(),
+            lateness: Lateness::default(),
         })
     }
 

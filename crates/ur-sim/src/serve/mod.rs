@@ -11,6 +11,7 @@ pub mod stream;
 
 use crate::core::Core;
 use crate::robot_api_server;
+use crate::robot_server::lateness::Check;
 use crate::robot_server::line::{Inlet, Line, Packet, Queue};
 use crate::robot_server::shared::RobotShared;
 use crate::robot_server::{RobotAddresses, RobotPorts};
@@ -253,7 +254,12 @@ async fn accepted(listener: Option<&TcpListener>) -> Option<TcpStream> {
 async fn connection(core: Core, port: Port, stream: LinkStream) {
     let shortcut = Arc::new(stream.shortcut());
     let (mut reader, writer) = tokio::io::split(stream);
-    let (mut session, Inlet { queue, dropped, replies }) = Session::open(&core, port, Some(shortcut));
+    let (mut session, Inlet { queue, dropped, replies }) = Session::open(&core, port, Some(shortcut.clone()));
+    let has_work: Arc<Check> = {
+        let replies = replies.clone();
+        Arc::new(move || shortcut.has_work(replies.has_queued()))
+    };
+    core.robot.lateness.watch(&has_work);
     let mut writing = JoinSet::new();
     writing.spawn(write_all(queue, writer, core.robot.clone()));
     let ends_in_order = tokio::select! {
@@ -262,7 +268,8 @@ async fn connection(core: Core, port: Port, stream: LinkStream) {
         _ = writing.join_next() => false,
     };
     session.close(&core);
-    drop(replies);
+    // Both have an end of the queue.
+    drop((has_work, replies));
     if ends_in_order {
         // What is queued still goes to the client; what it does not take is not owed.
         let _ = tokio::time::timeout(LAST_WORDS, writing.join_next()).await;

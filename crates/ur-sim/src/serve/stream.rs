@@ -10,6 +10,7 @@
 use crate::faults::link::{Link, LinkState};
 use crate::robot_server::line::Way;
 use crate::serve::seats::{Seat, Seats};
+use rustix::event::{PollFd, PollFlags, Timespec};
 use std::collections::VecDeque;
 use std::future::Future;
 use std::io::{Error, ErrorKind};
@@ -102,6 +103,8 @@ struct Lane {
     written: AtomicU64,
     /// Bytes are held back for a delay: nothing may overtake them.
     holds_back: AtomicBool,
+    /// What was read last is still being worked on.
+    at_work: AtomicBool,
 }
 
 impl Lane {
@@ -140,11 +143,33 @@ pub struct Shortcut {
     seat: Option<Arc<Seat>>,
 }
 
+impl Shortcut {
+    /// No fault acts on the link.
+    fn is_sound(&self) -> bool {
+        *self.link.borrow() == LinkState { resets: self.resets, ..LinkState::default() }
+    }
+
+    /// True if the connection's tasks could do something: read, go on with what was read, or write what is
+    /// `queued`. Never while a fault acts on the link.
+    pub fn has_work(&self, queued: bool) -> bool {
+        if !self.is_sound() {
+            return false;
+        }
+        if self.lane.at_work.load(Ordering::Acquire) {
+            return true;
+        }
+        let wanted = if queued { PollFlags::IN | PollFlags::OUT } else { PollFlags::IN };
+        let mut sockets = [PollFd::new(&self.lane.stream, wanted)];
+        let at_once = Timespec { tv_sec: 0, tv_nsec: 0 };
+        let ready = rustix::event::poll(&mut sockets, Some(&at_once));
+        ready.is_ok_and(|count| count > 0) && sockets.iter().any(|one| one.revents().intersects(wanted))
+    }
+}
+
 impl Way for Shortcut {
     /// 0 also when something is wrong with the link, which is for the connection's task to find.
     fn try_write(&self, bytes: &[u8]) -> usize {
-        let sound = *self.link.borrow() == LinkState { resets: self.resets, ..LinkState::default() };
-        if !sound || self.lane.holds_back.load(Ordering::Acquire) {
+        if !self.is_sound() || self.lane.holds_back.load(Ordering::Acquire) {
             return 0;
         }
         let count = self.lane.stream.try_write(bytes).unwrap_or(0);
@@ -179,7 +204,8 @@ impl LinkStream {
     /// A connection just made.
     pub fn new(stream: TcpStream, link: &Link, seat: Option<Arc<Seat>>) -> LinkStream {
         let (reading, writing) = (Follower::new(link.watch()), Follower::new(link.watch()));
-        let lane = Lane { stream, written: AtomicU64::new(0), holds_back: AtomicBool::new(false) };
+        let (holds_back, at_work) = (AtomicBool::new(false), AtomicBool::new(false));
+        let lane = Lane { stream, written: AtomicU64::new(0), holds_back, at_work };
         LinkStream {
             lane: Arc::new(lane),
             link: link.watch(),
@@ -234,6 +260,7 @@ impl AsyncRead for LinkStream {
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<std::io::Result<()>> {
         let this = self.get_mut();
+        this.lane.at_work.store(false, Ordering::Release);
         this.reader = Some(context.waker().clone());
         if let Some(Poll::Ready(())) = this.seat.as_ref().map(|seat| seat.poll_leave(context)) {
             return Poll::Ready(Err(ErrorKind::ConnectionAborted.into()));
@@ -251,7 +278,9 @@ impl AsyncRead for LinkStream {
         if let Poll::Ready(Err(error)) = this.send_delayed(context) {
             return Poll::Ready(Err(error));
         }
+        let before = buffer.filled().len();
         ready!(this.lane.poll_read(context, buffer))?;
+        this.lane.at_work.store(buffer.filled().len() > before, Ordering::Release);
         if let Some(seat) = &this.seat {
             seat.heard();
         }

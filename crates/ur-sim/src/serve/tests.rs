@@ -505,20 +505,6 @@ async fn an_rtde_client_that_does_not_read_is_dropped_and_a_script_client_is_not
 }
 
 #[tokio::test]
-async fn regular_writers_are_waited_for_and_dead_ones_forgotten() {
-    let mut publisher = Publisher::default();
-    let (id, _inlet) = publisher.open(Feed::Rtde, false, None);
-    for step in (10..=100).step_by(10) {
-        publisher.wrote(id, step);
-    }
-    assert!(!publisher.a_client_is_late(130) && publisher.a_client_is_late(131));
-    publisher.give_up(131);
-    assert!(!publisher.a_client_is_late(1000));
-    publisher.wrote(id, 1000);
-    assert!(!publisher.a_client_is_late(2000), "one package does not make a writer regular");
-}
-
-#[tokio::test]
 async fn random_bytes_do_not_disturb_the_servers() {
     use rand::{RngExt, SeedableRng};
     let bench = bench(10, running()).await;

@@ -337,7 +337,7 @@ impl Robot {
         if state.heartbeat_echo != heartbeat.echo || state.runtime_state != RuntimeState::Playing {
             heartbeat.echo = state.heartbeat_echo;
             heartbeat.echo_changed = now;
-        } else if now.since(heartbeat.echo_changed) > ECHO_WITHIN + self.held_for {
+        } else if now.since(heartbeat.echo_changed) > ECHO_WITHIN {
             let reason = ProgramEnd::Overdue("the program does not echo the heartbeat".into());
             self.halt(now, Some(reason), false);
         }

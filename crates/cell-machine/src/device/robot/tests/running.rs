@@ -442,30 +442,6 @@ fn a_pc_that_was_held_up_reads_first_and_reports_no_fault() {
     assert_eq!((rig.ended(), rig.faults()), (None, vec![]));
 }
 
-/// A simulator waits for a late client: both sides find the world as they left it.
-#[test]
-fn a_simulator_that_holds_its_clock_for_celld_is_not_silent() {
-    for (held_ms, holds) in [(0, false), (600, true)] {
-        let parameters =
-            RobotParameters { held_for: Duration::from_millis(held_ms), ..RobotParameters::full_rate() };
-        let mut rig = Rig { robot: Robot::new(parameters).unwrap(), ..Rig::new() };
-        rig.connect_all();
-        rig.run_ms(100);
-        rig.command(RobotCommand::StartProgram { nonce: Nonce::new(7) });
-        rig.run_ms(100);
-        // The state after the pause has the echo of the one before: celld's heartbeat is late.
-        for pause_ms in [0, 600] {
-            rig.now += Duration::from_millis(pause_ms);
-            assert_eq!(rig.robot.fresh(rig.now), holds || pause_ms == 0, "{held_ms} ms");
-            rig.fake.frame(rig.now);
-            rig.take_arrived();
-            rig.robot.tick(rig.now);
-        }
-        rig.run_ms(200);
-        assert_eq!(rig.ended().is_none(), holds, "{held_ms} ms: {:?}", rig.ended());
-    }
-}
-
 #[test]
 fn a_pc_that_finds_nothing_after_it_was_held_up_trusts_nothing_old() {
     let mut rig = Rig::running();
