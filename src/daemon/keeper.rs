@@ -27,7 +27,7 @@ use crate::jobs::record::{
 use crate::jobs::spool::{Spool, SpoolError, SpoolEvent, SpoolSettings};
 use crate::jobs::state::StateFolder;
 use crate::jobs::status;
-use cell_edge::clock::{Clock, unix_now_s};
+use cell_edge::clock::unix_now_s;
 use cell_machine::code::{Code, JobStatus};
 use cell_machine::orders::Reply;
 use cell_machine::supervisor::input::Record;
@@ -96,8 +96,6 @@ pub struct StateKeeper {
     remarks: status::Remarks,
     /// The shared part of the configuration, for people.
     shared: Option<String>,
-    /// The cell's.
-    clock: Option<Clock>,
 }
 
 /// Is given each status; must not block.
@@ -159,18 +157,12 @@ impl StateKeeper {
             refused: None,
             remarks: status::Remarks::default(),
             shared: None,
-            clock: None,
         })
     }
 
     /// With somewhere else that each status goes, and what the cell's part in a fleet has to say in it.
     pub fn published(self, publish: Publish, remarks: status::Remarks) -> StateKeeper {
         StateKeeper { publish, remarks, ..self }
-    }
-
-    /// With the cell's clock, for the factor that a simulation reaches.
-    pub fn timed_by(self, clock: Clock) -> StateKeeper {
-        StateKeeper { clock: Some(clock), ..self }
     }
 
     /// What of the configuration is shared with other cells, in words.
