@@ -9,7 +9,7 @@ use crate::cli::in_fleet::{Anew, Parts, Shared, fleet, is_to_start_disarmed, sta
 use crate::config::calibrated::{measured, read_calibration};
 use crate::config::cell::CellConfig;
 use crate::config::empty::compare_with_empty;
-use crate::config::sessions::{gripper_address, machine_parameters};
+use crate::config::sessions::{clock, gripper_address, machine_parameters};
 use crate::config::setup::{Measured, cell_model, cell_objects, scene};
 use crate::daemon::cameras;
 use crate::daemon::film::Film;
@@ -35,7 +35,7 @@ use crate::page::texts::Texts;
 use crate::page::{ServeError, app};
 use crate::perception::Perception;
 use cell_calibration::files::set::CalibrationSet;
-use cell_edge::clock::{Clock, unix_now_s};
+use cell_edge::clock::unix_now_s;
 use cell_edge::priority;
 use cell_edge::terminal::{complain, complain_within};
 use cell_machine::event::Arm;
@@ -211,10 +211,7 @@ async fn end_requested() {
 /// run.
 pub(super) fn open_shell(config: &CellConfig, seed: u64) -> Result<Shell, String> {
     let addresses = Addresses::of(&config.devices)?;
-    let clock = match config.simulation {
-        Some(simulation) => Clock::simulated(addresses.rtde, simulation.clock_factor),
-        None => Clock::new(1.0),
-    };
+    let clock = clock(config.simulation, addresses.rtde);
     let mut parameters = machine_parameters(config, seed);
     parameters.robot.process = std::process::id();
     Shell::open(&addresses, clock, parameters).map_err(|error| chain(&error))
@@ -293,7 +290,6 @@ async fn daemon(begin: Begin, anew: Anew, stop: Arc<AtomicBool>) -> Result<(), S
     shell.commission(model, config.arm_at_start);
     let keeper =
         keeper.with(pictures.clone(), &config_file, identities(&arm, &measured), shell.last_answers());
-    let keeper = keeper.timed_by(shell.clock());
     shell.keep_in(Box::new(keeper), reception.close()?);
     tracing::info!("celld runs; job files go into the state folder's jobs/incoming, Ctrl-C ends");
     starting.rests();

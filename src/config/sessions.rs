@@ -1,16 +1,27 @@
 //! What the sessions with the devices are made with, from the cell's configuration.
 //!
-//! In: a [`CellConfig`]. Out: parameters of the machine and its sessions, and what a person confirms the
-//! gripper by.
+//! In: a [`CellConfig`]. Out: clock, parameters of the machine and its sessions, and what a person confirms
+//! the gripper by.
 
-use crate::config::cell::{CellConfig, Devices};
+use crate::config::cell::{CellConfig, Devices, SimulationConfig};
+use cell_edge::clock::Clock;
 use cell_machine::device::gripper_types::GripperParameters;
 use cell_machine::device::robot_types::RobotParameters;
 use cell_machine::machine::MachineParameters;
 use cell_values::time::Duration;
+use std::net::SocketAddr;
 
 /// States a second requested of the robot: a state every 8 ms is fresh enough for the 100 ms limit.
 pub const RTDE_HZ: f64 = 125.0;
+
+/// The cell's clock; `rtde` is where the robot listens. Only a cell that is configured as simulated follows
+/// a simulator, whatever is at that address.
+pub fn clock(simulation: Option<SimulationConfig>, rtde: SocketAddr) -> Clock {
+    match simulation {
+        Some(SimulationConfig { clock_factor }) => Clock::simulated(rtde, clock_factor),
+        None => Clock::new(1.0),
+    }
+}
 
 /// What the machine is made with; `nonce_seed` differs from run to run.
 pub fn machine_parameters(config: &CellConfig, nonce_seed: u64) -> MachineParameters {

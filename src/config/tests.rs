@@ -2,11 +2,10 @@
 
 use crate::config::cell::CellConfig;
 use crate::config::read_cell::{CELL_KEYS, read_cell};
-use crate::config::sessions::machine_parameters;
+use crate::config::sessions::clock;
 use crate::jobs::edit::{replace_first, replace_once};
 use cell_calibration::drawn::CameraMount;
 use cell_parts::gripper::CupChannel;
-use cell_values::time::Duration;
 use rearrange::document::Diagnostics;
 use std::path::Path;
 
@@ -141,6 +140,20 @@ fn limits_are_not_optional() {
         let reported = cell(&replace_once(CELL, line, "")).unwrap_err().to_string();
         assert!(reported.contains(&format!("key \"{key}\" is missing")), "{reported}");
     }
+}
+
+/// A tunnel to a real robot may end where a simulator was.
+#[test]
+fn only_a_simulated_cell_follows_a_simulator() {
+    let rtde = "127.0.0.2:30004".parse().unwrap();
+    let of = |simulation: &str| {
+        let text = replace_once(CELL, "simulation: {clock_factor: 1}", simulation);
+        clock(cell(&text).unwrap().simulation, rtde)
+    };
+    assert!(!of("simulation: null").is_simulated());
+    assert!(of("simulation: {clock_factor: 1}").is_simulated());
+    let fast = of("simulation: {clock_factor: 4}");
+    assert_eq!((fast.is_simulated(), fast.factor()), (true, 4.0));
 }
 
 #[test]

@@ -19,8 +19,9 @@ use cell_vision::camera::CameraModel;
 use rearrange::document::chain::chain;
 use std::time::Duration;
 
-/// How long a frame of the simulator may take, wall time: it may have to be rendered on a busy computer.
-const SIMULATOR_LIMIT: Duration = Duration::from_secs(20);
+/// How long a frame of the simulator may take, wall time: it may have to be rendered on a busy computer, for
+/// which simulated time is held.
+const SIMULATOR_LIMIT: Duration = Duration::from_secs(60);
 /// And one of a camera: none takes that long, and there has to be time left for connecting anew.
 const CAMERA_LIMIT: Duration = Duration::from_secs(4);
 

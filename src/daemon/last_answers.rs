@@ -1,16 +1,18 @@
-//! When each device answered last, and when the loop came round last, by the wall's clock.
+//! When each device answered last and when the loop came round last, by the wall's clock, and how fast a
+//! simulated cell goes by it.
 //!
 //! In: marks of the loop, for each answer of a device and each turn. Out: ages, for the status file. Apart
 //! from the supervisor's status, whose words change only when a device does, and which a loop that hangs
 //! does not change any more.
 
+use cell_edge::clock::Clock;
 use cell_machine::supervisor::status::Device;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Shared between the loop, which marks, and the keeper, which reads.
 #[derive(Clone, Debug, Default)]
-pub struct LastAnswers(Arc<Mutex<Marks>>);
+pub struct LastAnswers(Arc<Mutex<Marks>>, Option<Clock>);
 
 #[derive(Debug, Default)]
 struct Marks {
@@ -19,6 +21,16 @@ struct Marks {
 }
 
 impl LastAnswers {
+    /// None yet, in a cell with this clock.
+    pub fn timed_by(clock: Clock) -> LastAnswers {
+        LastAnswers(Arc::default(), Some(clock))
+    }
+
+    /// Seconds of the cell per second of the wall's clock, while it follows a simulator.
+    pub fn time_factor(&self) -> Option<f64> {
+        self.1.as_ref().and_then(Clock::factor_reached)
+    }
+
     fn marks(&self) -> MutexGuard<'_, Marks> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -133,6 +133,7 @@ impl Shell {
         Ok(Shell {
             machine: Machine::new(parameters)?,
             sockets: Sockets::new(addresses, clock.clone(), messages_in.clone()),
+            last_answers: LastAnswers::timed_by(clock.clone()),
             clock,
             messages,
             messages_in,
@@ -144,7 +145,6 @@ impl Shell {
             at_work: AtWork::default(),
             beats,
             beat,
-            last_answers: LastAnswers::default(),
             answered: [None; 2],
             pace: LoopPace::default(),
             reach: Reach::default(),
@@ -173,11 +173,6 @@ impl Shell {
     pub fn watched(self, beats: Beats) -> Shell {
         let beat = beats.task("the loop", EVERY_TURN_WITHIN);
         Shell { beats, beat, ..self }
-    }
-
-    /// The cell's clock.
-    pub fn clock(&self) -> Clock {
-        self.clock.clone()
     }
 
     /// The cell's time.
@@ -309,7 +304,6 @@ impl Shell {
             () = self.sockets.ready() => None,
             () = tokio::time::sleep(self.clock.nap(wait)) => None,
         };
-        let sent_before = self.clock.mark();
         let mut events = Vec::new();
         events.extend(self.held_up());
         if let Some(message) = first {
@@ -333,9 +327,7 @@ impl Shell {
             observer.on(now, Scene::Effect(&effect));
             self.carry_out(now, effect, observer);
         }
-        if !self.sockets.gripper_is_late() {
-            self.clock.taken_in(sent_before);
-        }
+        self.sockets.taken_in();
         if let Some(state) = self.machine.robot_state() {
             observer.on(now, Scene::Robot(state));
         }

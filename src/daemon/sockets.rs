@@ -6,7 +6,7 @@
 
 use crate::config::cell::Devices;
 use crate::daemon::messages::{Made, Message};
-use cell_edge::clock::Clock;
+use cell_edge::clock::{Clock, Mark};
 use cell_machine::device::gripper_types::{ModbusFailure, ModbusRequest};
 use cell_machine::device::robot_types::Link;
 use cell_machine::event::Event;
@@ -90,6 +90,8 @@ pub struct Sockets {
     lines: [Line; 3],
     gripper: mpsc::Sender<ModbusRequest>,
     gripper_work: Arc<GripperWork>,
+    /// How far a simulator was when the sockets were read last.
+    taken: Option<Mark>,
     clock: Clock,
     messages: mpsc::Sender<Message>,
     buffer: Vec<u8>,
@@ -116,6 +118,7 @@ impl Sockets {
             lines: Link::ALL.map(line),
             gripper: spawn_modbus(addresses, clock.clone(), messages.clone(), gripper_work.clone()),
             gripper_work,
+            taken: None,
             clock,
             messages,
             buffer: vec![0; 64 * 1024],
@@ -185,6 +188,7 @@ impl Sockets {
 
     /// Everything that has arrived, and what has broken.
     pub fn take(&mut self, events: &mut Vec<Event>) {
+        self.taken = Some(self.clock.mark());
         for line in &mut self.lines {
             line.write(&self.clock);
             if let Some(reason) = line.read(&mut self.buffer, &self.clock, events) {
@@ -194,10 +198,12 @@ impl Sockets {
         }
     }
 
-    /// True while the gripper's task is late: with a request that it has not taken, or an answer that it has
-    /// not read.
-    pub fn gripper_is_late(&self) -> bool {
-        self.gripper_work.waits()
+    /// What the last [`Sockets::take`] brought has been worked on: a simulator need not wait for that,
+    /// unless the gripper's task is late.
+    pub fn taken_in(&mut self) {
+        if let Some(mark) = self.taken.filter(|_| !self.gripper_work.waits()) {
+            self.clock.taken_in(mark);
+        }
     }
 
     /// Returns when something has arrived or can be sent.

@@ -94,7 +94,7 @@ pub fn spawn_perception(
 ) -> SyncSender<(u64, SeeRequest)> {
     let (requests_in, requests) = sync_channel(4);
     std::thread::spawn(move || {
-        priority::lower();
+        give_way(&clock);
         let mut seeing = Seeing { setup, clock, messages, shots: Vec::new() };
         let mut next_glimpse = Instant::now();
         loop {
@@ -332,6 +332,16 @@ fn write_diagnostic_images(pictures: Result<Vec<Vec<u8>>, String>, folder: &Path
     }
 }
 
+/// Lets the loop go first. A simulated robot waits for it anyway; there this thread only goes behind it, for
+/// beside other programs it would get next to nothing, and simulated time does not wait for pictures.
+fn give_way(clock: &Clock) {
+    if clock.is_simulated() {
+        priority::ordinary();
+    } else {
+        priority::lower();
+    }
+}
+
 /// Starts one planning run; `stop` ends it early with the best plan so far.
 pub fn spawn_plan(
     number: u64,
@@ -351,7 +361,7 @@ pub fn spawn_plan(
         let over = |attempt: u32| stop.load(Ordering::Relaxed) || started.elapsed() >= limit * (attempt + 1);
         answer(&request, None, &over, &|| started.elapsed().as_secs_f64())
     };
-    spawn_planner(number, plan, messages, beat);
+    spawn_planner(number, plan, clock, messages, beat);
 }
 
 /// Runs `plan` on a thread of its own. There is always an answer: a panic, or a thread that cannot be had,
@@ -359,14 +369,15 @@ pub fn spawn_plan(
 fn spawn_planner(
     number: u64,
     plan: impl FnOnce() -> PlanAnswer + Send + 'static,
+    clock: &Clock,
     messages: mpsc::Sender<Message>,
     beat: Beat,
 ) {
     let answered = move |answer| Message::Event(Event::Planned(number, Box::new(answer)));
-    let replies = messages.clone();
+    let (replies, clock) = (messages.clone(), clock.clone());
     let work = move || {
         beat.now();
-        priority::lower();
+        give_way(&clock);
         let answer = guarded(plan).unwrap_or_else(PlanAnswer::Failed);
         beat.rests();
         // The loop has ended if there is no receiver.

@@ -15,8 +15,10 @@ use cell_values::units::Joints;
 use nalgebra::Isometry3;
 use std::collections::BTreeMap;
 use std::io::{ErrorKind, Read, Write};
-use std::net::{SocketAddr, TcpStream};
-use std::time::Duration;
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 use ur_arm::kinematics::DhParameters;
 use ur_sim::camera::{CameraSetup, CameraTiming};
 use ur_sim::cell::{RunningSim, SimConfig, start};
@@ -57,6 +59,7 @@ pub fn config(running: bool) -> SimConfig {
 struct Cell {
     sim: RunningSim,
     robot: Robot,
+    rtde: SocketAddr,
     links: BTreeMap<u16, TcpStream>,
     clock: Clock,
     events: Vec<RobotEvent>,
@@ -65,11 +68,17 @@ struct Cell {
 
 impl Cell {
     async fn new(running: bool) -> Cell {
-        let sim = start(config(running)).await.unwrap();
+        Cell::with(config(running), |rtde| rtde).await
+    }
+
+    /// On the way to the RTDE server may be something else.
+    async fn with(config: SimConfig, way: impl FnOnce(SocketAddr) -> SocketAddr) -> Cell {
+        let sim = start(config).await.unwrap();
         let robot = Robot::new(RobotParameters::full_rate()).unwrap();
-        let clock = Clock::simulated(sim.addresses.robot.rtde, FACTOR);
+        let rtde = way(sim.addresses.robot.rtde);
+        let clock = Clock::simulated(rtde, FACTOR);
         let (links, dh) = (BTreeMap::new(), DhParameters::UR5E);
-        let mut cell = Cell { sim, robot, links, clock, events: Vec::new(), dh };
+        let mut cell = Cell { sim, robot, rtde, links, clock, events: Vec::new(), dh };
         for link in Link::ALL {
             cell.connect(link);
         }
@@ -90,7 +99,7 @@ impl Cell {
     fn address(&self, link: Link) -> SocketAddr {
         let addresses = &self.sim.addresses.robot;
         match link {
-            Link::Rtde => addresses.rtde,
+            Link::Rtde => self.rtde,
             Link::Dashboard => addresses.dashboard,
             Link::Primary => addresses.primary,
         }
@@ -276,4 +285,82 @@ async fn the_arm_stops_when_the_pc_falls_silent() {
         assert!(cell.now().as_secs_f64() < PATIENCE_S, "the watchdog did not fire");
     }
     cell.shutdown().await;
+}
+
+/// The program's watchdog waits for 0.2 s.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_simulator_waits_for_a_client_that_follows_its_time() {
+    let mut cell = Cell::new(true).await;
+    cell.start_program(41).await;
+    let held = cell.sim.seconds_held();
+    while cell.sim.seconds_held() < held + 0.5 {
+        tokio::task::yield_now().await;
+    }
+    let at = cell.robot.state().unwrap().controller_time_s;
+    cell.wait("time goes on", |cell| cell.robot.state().unwrap().controller_time_s > at + 1.0).await;
+    assert!(!cell.saw(|e| matches!(e, RobotEvent::ProgramEnded { .. })), "{:?}", cell.events);
+    cell.shutdown().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_strict_simulator_waits_for_nobody() {
+    let mut cell = Cell::with(SimConfig { strict: true, ..config(true) }, |rtde| rtde).await;
+    cell.start_program(42).await;
+    let status = || cell.sim.robot().controller().core.registers.output_ints[27];
+    while status() != 2 {
+        tokio::task::yield_now().await;
+        assert!(cell.now().as_secs_f64() < PATIENCE_S, "the watchdog did not fire");
+    }
+    assert_eq!((cell.sim.seconds_held(), cell.sim.addresses.clock), (0.0, false));
+    cell.shutdown().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_simulator_that_is_late_is_waited_for() {
+    let mut cell = Cell::new(true).await;
+    cell.wait("state", |cell| cell.robot.fresh(cell.now())).await;
+    let sim = cell.sim.robot().clone();
+    // It makes no frame meanwhile.
+    let controller = sim.controller();
+    // Each waits for the robot for 1 ms or some more: at least 150 ms of a clock that does not stand, and
+    // less than celld's patience.
+    for _ in 0..50 {
+        cell.turn();
+    }
+    assert!(cell.robot.fresh(cell.now()));
+    drop(controller);
+    cell.shutdown().await;
+}
+
+/// The tunnel is at an address of this computer, and no clock channel belongs to that.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_robot_at_the_end_of_a_tunnel_is_not_waited_for() {
+    let broken = Arc::new(AtomicBool::new(false));
+    let mut cell = Cell::with(config(true), |rtde| tunnel(rtde, broken.clone())).await;
+    cell.wait("state", |cell| cell.robot.fresh(cell.now())).await;
+    broken.store(true, Ordering::Relaxed);
+    let began = Instant::now();
+    while cell.robot.fresh(cell.now()) {
+        cell.turn();
+        assert!(began.elapsed().as_secs_f64() < PATIENCE_S, "celld waits for a silent robot");
+    }
+    cell.shutdown().await;
+}
+
+/// Forwards one connection; what the robot sends is lost once the flag is up.
+fn tunnel(robot: SocketAddr, broken: Arc<AtomicBool>) -> SocketAddr {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    std::thread::spawn(move || {
+        let (client, mut robot) = (listener.accept().unwrap().0, TcpStream::connect(robot).unwrap());
+        let (mut from, mut to) = (client.try_clone().unwrap(), robot.try_clone().unwrap());
+        std::thread::spawn(move || std::io::copy(&mut from, &mut to));
+        let (mut client, mut buffer) = (client, [0; 65536]);
+        while let Ok(count @ 1..) = robot.read(&mut buffer) {
+            if !broken.load(Ordering::Relaxed) && client.write_all(&buffer[..count]).is_err() {
+                return;
+            }
+        }
+    });
+    address
 }

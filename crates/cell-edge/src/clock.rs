@@ -77,6 +77,11 @@ impl Clock {
         }
     }
 
+    /// True if this clock stands while a simulator does.
+    pub fn is_simulated(&self) -> bool {
+        matches!(self.source, Source::Simulator(_))
+    }
+
     /// How much faster than the machine's clock this one runs.
     pub fn factor(&self) -> f64 {
         self.factor

@@ -7,7 +7,7 @@
 
 use thread_priority::{
     NormalThreadSchedulePolicy, RealtimeThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy,
-    set_thread_priority_and_policy, thread_native_id,
+    set_thread_priority_and_policy, thread_native_id, thread_schedule_policy,
 };
 
 /// Above ordinary threads, below those of the system itself, which sit at half of the range.
@@ -33,9 +33,12 @@ pub fn real_time() {
     }
 }
 
-/// Back among ordinary threads, as they are by default.
+/// Back among ordinary threads, as they are by default. Without the privilege to go up, a lowered thread
+/// stays where it is.
 pub fn ordinary() {
-    if !schedule(ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other), REAL_TIME.try_into()) {
+    let other = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other);
+    // Setting the class also sets a niceness of its own, from which no ordinary user gets back.
+    if thread_schedule_policy() != Ok(other) && !schedule(other, REAL_TIME.try_into()) {
         tracing::debug!("thread keeps its scheduling");
     }
     change(0);
@@ -64,12 +67,31 @@ fn change(to: i32) {
 
 #[cfg(test)]
 mod tests {
-    /// The kernel's number of the calling thread's class (sched(7)): field 41 of its stat file, 39th after
-    /// the name.
-    fn class() -> u32 {
+    /// A field of the calling thread's stat file (proc(5)), counted from 3, the first after the name.
+    fn field(number: usize) -> i32 {
         let stat = std::fs::read_to_string("/proc/thread-self/stat").unwrap();
         let (_, after) = stat.rsplit_once(") ").unwrap();
-        after.split(' ').nth(38).unwrap().parse().unwrap()
+        after.split(' ').nth(number - 3).unwrap().parse().unwrap()
+    }
+
+    /// The kernel's number of the thread's class (sched(7)).
+    fn class() -> i32 {
+        field(41)
+    }
+
+    fn niceness() -> i32 {
+        field(19)
+    }
+
+    /// Root gets back from any niceness, so this can fail for other users alone.
+    #[test]
+    fn an_ordinary_thread_goes_no_further_down() {
+        let before = niceness();
+        let after = std::thread::spawn(|| {
+            super::ordinary();
+            niceness()
+        });
+        assert!(after.join().unwrap() <= before);
     }
 
     #[test]

@@ -12,6 +12,7 @@
 use crate::camera::{CameraSetup, Window};
 use crate::faults::link::Link;
 use crate::render::Renderer;
+use crate::robot_server::lateness::{Check, Lateness};
 use crate::serve::MAX_CONNECTIONS;
 use crate::serve::seats::Seats;
 use crate::serve::stream::LinkListener;
@@ -22,6 +23,7 @@ use axum::http::{HeaderName, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use axum::{Json, Router};
+use cell_edge::priority;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 use std::future::Future;
@@ -34,9 +36,15 @@ use tokio::sync::Mutex;
 const LOOK_EVERY: Duration = Duration::from_micros(500);
 const WAIT_LIMIT: Duration = Duration::from_secs(10);
 
+/// Simulated time that drawing a picture may take; then that is held, wall time at most.
+const DRAWN_WITHIN: Duration = Duration::from_millis(500);
+const DRAWING_PATIENCE: Duration = Duration::from_secs(60);
+
 struct Camera {
     setup: CameraSetup,
     world: SharedWorld,
+    /// What of the simulator is late.
+    lateness: Arc<Lateness>,
     /// Made with the first picture: inverting the lens must not delay the start.
     renderer: OnceLock<Renderer>,
     /// Frames taken, colour and depth; held while one is drawn, so that several clients do not share out the
@@ -74,10 +82,10 @@ pub async fn serve(
     listener: TcpListener,
     setup: CameraSetup,
     world: SharedWorld,
-    link: Arc<Link>,
+    (link, lateness): (Arc<Link>, Arc<Lateness>),
     stop: impl Future<Output = ()> + Send + 'static,
 ) -> std::io::Result<()> {
-    let camera = Camera { setup, world, renderer: OnceLock::new(), rolls: Default::default() };
+    let camera = Camera { setup, world, lateness, renderer: OnceLock::new(), rolls: Default::default() };
     let router = Router::new()
         .route("/frame.png", get(|camera| frame(camera, Kind::Colour)))
         .route("/depth.png", get(|camera| frame(camera, Kind::Depth)))
@@ -120,12 +128,21 @@ async fn frame(State(camera): State<Arc<Camera>>, kind: Kind) -> Response {
     let window = camera.setup.timing.window(now_s);
     camera.until(window.ready_s).await;
     let drawing = camera.clone();
+    let at_work: Arc<Check> = Arc::new(|| true);
+    camera.lateness.watch(&at_work, DRAWN_WITHIN, DRAWING_PATIENCE);
     // The thread has the roll, and not this request, which ends when its client goes.
     let draw = move || {
-        cell_edge::priority::lower();
-        let frame = drawing.take(kind, number, &window).map_err(|error| error.to_string())?;
-        roll.last = Some(frame.clone());
-        Ok(frame)
+        // Frames go first. Where simulated time waits for the picture they need not, and beside other
+        // programs the lowest priority would mean no picture for a minute.
+        if drawing.lateness.is_followed() {
+            priority::ordinary();
+        } else {
+            priority::lower();
+        }
+        let frame = drawing.take(kind, number, &window).map_err(|error| error.to_string());
+        drop(at_work);
+        roll.last = Some(frame.clone()?);
+        frame
     };
     let taken = tokio::task::spawn_blocking(draw).await.unwrap_or_else(|error| Err(error.to_string()));
     match taken {
@@ -215,7 +232,7 @@ mod tests {
         let address = listener.local_addr().unwrap();
         let world = Arc::new(std::sync::Mutex::new(empty_world(5)));
         lock(&world).step(41.5, 0.002, &Isometry3::translation(0.0, 0.0, 0.5));
-        tokio::spawn(serve(listener, setup(), world.clone(), Arc::default(), std::future::pending()));
+        tokio::spawn(serve(listener, setup(), world.clone(), Default::default(), std::future::pending()));
         (address, world)
     }
 
@@ -255,8 +272,13 @@ mod tests {
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
     async fn a_picture_whose_client_has_gone_is_drawn_to_its_end_before_the_next() {
         let world = Arc::new(std::sync::Mutex::new(empty_world(5)));
-        let camera =
-            Arc::new(Camera { setup: setup(), world, renderer: OnceLock::new(), rolls: Default::default() });
+        let camera = Arc::new(Camera {
+            setup: setup(),
+            world,
+            lateness: Arc::default(),
+            renderer: OnceLock::new(),
+            rolls: Default::default(),
+        });
         // What draws waits for the lens until the test lets go of it.
         let (begun, beginning) = std::sync::mpsc::channel();
         let (release, released) = std::sync::mpsc::channel::<()>();

@@ -178,8 +178,8 @@ pub async fn start(config: SimConfig) -> Result<RunningSim, SimError> {
     core.robot.controller().core.sockets = Box::new(sockets);
     servers.take(gripper, &core, Port::Gripper, &stopped);
     let mut tasks = JoinSet::new();
-    let (world, link) = (core.world.clone(), core.robot.links.get(LinkName::Camera).clone());
-    let pictures = camera_server::serve(camera.0, config.camera, world, link, until(&stopped));
+    let link = (core.robot.links.get(LinkName::Camera).clone(), core.robot.lateness.clone());
+    let pictures = camera_server::serve(camera.0, config.camera, core.world.clone(), link, until(&stopped));
     tasks.spawn(async move { report("camera server", pictures.await) });
     if let Some((listener, _)) = control {
         let (world, injector) = (core.world.clone(), core.injector.clone());

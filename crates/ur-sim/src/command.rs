@@ -158,8 +158,7 @@ pub fn run(args: &SimArgs) -> u8 {
         return 2;
     }
     let mut config = sim_config(&file, bind, RobotPorts::REAL);
-    config.time_factor = args.time_factor.unwrap_or(file.time_factor);
-    config.strict = args.strict;
+    (config.time_factor, config.strict) = (args.time_factor.unwrap_or(file.time_factor), args.strict);
     match args.faults.as_deref().map_or(Ok(Vec::new()), faults_of) {
         Ok(faults) => config.faults = faults,
         Err(message) => {

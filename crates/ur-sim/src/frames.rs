@@ -97,33 +97,31 @@ impl Progress {
 /// For whom simulated time is held.
 #[derive(Debug)]
 pub struct Holding {
-    /// Daemons that follow the simulator's time: while one is late, or the simulator's own tasks are late with
-    /// what it sends and is sent.
+    /// Daemons that follow the simulator's time: while one is late, or the simulator's own tasks are late
+    /// with what it sends and is sent.
     pub clock: Option<ClockServer>,
     /// Clients that read too slowly to get every frame.
     pub slow_readers: bool,
 }
 
 impl Holding {
-    /// A frame has ended: the followers are told.
+    /// A frame has ended: followers get its time.
     fn reached(&mut self, core: &Core, simulated: Duration) {
         if let Some(clock) = &mut self.clock {
             clock.reached(simulated, Instant::now());
-            if clock.is_followed() {
-                core.robot.lateness.frame();
-            }
+            core.robot.lateness.frame(clock.is_followed());
         }
     }
 
-    /// Holds the time for as long as it has to be; for how long that was.
-    fn hold(&mut self, core: &Core, stopped: &watch::Receiver<bool>) -> Duration {
+    /// Holds the time for as long as it has to be.
+    fn hold(&mut self, core: &Core, progress: &Progress, stopped: &watch::Receiver<bool>) {
         let start = Instant::now();
         let mut now = start;
         while self.holds(core, start, now) && !*stopped.borrow() {
             std::thread::sleep(HOLD_POLL);
-            now = Instant::now();
+            let before = std::mem::replace(&mut now, Instant::now());
+            progress.held_us.fetch_add((now - before).as_micros() as u64, Ordering::Relaxed);
         }
-        now - start
     }
 
     /// Each wait is bounded, so that a dead client does not stop the time.
@@ -165,8 +163,7 @@ pub fn run(
     let mut schedule = Schedule::new(factor, Instant::now());
     let (mut frames, mut sleepless): (u64, u32) = (0, 0);
     while !*stopped.borrow() && stopped.has_changed().is_ok() {
-        let held = holding.hold(core, stopped);
-        progress.held_us.fetch_add(held.as_micros() as u64, Ordering::Relaxed);
+        holding.hold(core, progress, stopped);
         core.advance(Some(schedule.intended));
         frames += 1;
         let simulated = Duration::from_secs_f64(frames as f64 * FRAME_SECONDS);

@@ -6,7 +6,7 @@
 use super::StateKeeper;
 use crate::config::sessions::gripper_address;
 use crate::jobs::status;
-use cell_edge::clock::{Clock, unix_now_s};
+use cell_edge::clock::unix_now_s;
 use cell_edge::files::remove;
 use cell_machine::intake::HELD_UP_AFTER;
 use cell_machine::supervisor::status::{Device, DeviceNote, Doing, Status};
@@ -84,7 +84,7 @@ impl StateKeeper {
             refused: self.refused.clone(),
             devices: status.devices.iter().map(|device| self.device(device)).collect(),
             fleet: self.remarks.lock().map(|remarks| remarks.clone()).unwrap_or_default(),
-            time_factor: self.clock.as_ref().and_then(Clock::factor_reached),
+            time_factor: self.last_answers.time_factor(),
         }
     }
 

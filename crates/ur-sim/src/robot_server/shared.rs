@@ -22,8 +22,8 @@ pub struct RobotShared {
     pub links: Links,
     /// How late RTDE packages leave.
     pub latency: LatencyHistogram,
-    /// How late the tasks of its connections are.
-    pub lateness: Lateness,
+    /// How late the simulator's own tasks are.
+    pub lateness: Arc<Lateness>,
 }
 
 impl RobotShared {
@@ -34,7 +34,7 @@ impl RobotShared {
             publisher: Mutex::new(Publisher::default()),
             links: Links::default(),
             latency: LatencyHistogram::default(),
-            lateness: Lateness::default(),
+            lateness: Arc::default(),
         })
     }
 

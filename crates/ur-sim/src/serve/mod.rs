@@ -19,6 +19,7 @@ use crate::serve::seats::Seats;
 use crate::serve::stream::LinkStream;
 use crate::session::{Port, Session};
 use crate::world::lock;
+use cell_edge::pace::{LEAD, PATIENCE};
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
@@ -259,7 +260,7 @@ async fn connection(core: Core, port: Port, stream: LinkStream) {
         let replies = replies.clone();
         Arc::new(move || shortcut.has_work(replies.has_queued()))
     };
-    core.robot.lateness.watch(&has_work);
+    core.robot.lateness.watch(&has_work, LEAD, PATIENCE);
     let mut writing = JoinSet::new();
     writing.spawn(write_all(queue, writer, core.robot.clone()));
     let ends_in_order = tokio::select! {

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::controller::{Controller, ControllerConfig};
-use crate::robot_server::publisher::{Feed, Publisher};
+use crate::robot_server::publisher::Feed;
 use crate::world::empty_world;
 use std::net::Ipv4Addr;
 use ur_wire::dashboard::GREETING;

@@ -2,9 +2,8 @@
 
 use super::{Rig, path};
 use crate::device::program::Nonce;
-use crate::device::robot::Robot;
 use crate::device::robot::tests::HOME;
-use crate::device::robot_types::{Link, ProgramEnd, Refused, RobotCommand, RobotEvent, RobotParameters};
+use crate::device::robot_types::{Link, ProgramEnd, Refused, RobotCommand, RobotEvent};
 use cell_values::time::Duration;
 use cell_values::units::Joints;
 
