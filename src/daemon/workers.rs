@@ -481,7 +481,13 @@ mod tests {
     fn planned(plan: impl FnOnce() -> PlanAnswer + Send + 'static) -> (PlanAnswer, Beats) {
         let (messages, mut received) = mpsc::channel(4);
         let beats = Beats::default();
-        spawn_planner(7, plan, messages, beats.task("the planner", Duration::from_secs(60)));
+        spawn_planner(
+            7,
+            plan,
+            &Clock::new(1.0),
+            messages,
+            beats.task("the planner", Duration::from_secs(60)),
+        );
         match received.blocking_recv() {
             Some(Message::Event(Event::Planned(7, answer))) => (*answer, beats),
             _ => panic!("no answer of the planner"),

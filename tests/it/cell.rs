@@ -117,9 +117,21 @@ pub(crate) fn configuration(folder: &Path, address: &str, factor: u32) -> (PathB
     (write("cell.yaml", cell), write("sim.yaml", sim))
 }
 
+/// A simulator and daemons that wait for each other on a busy computer.
 pub(crate) fn start_sim(config: &Path) -> Running {
+    start_sim_with(&[], config)
+}
+
+/// A simulator that waits for nobody: for tests that hold a daemon up.
+pub(crate) fn start_strict_sim(config: &Path) -> Running {
+    start_sim_with(&["--strict"], config)
+}
+
+fn start_sim_with(options: &[&str], config: &Path) -> Running {
     let mut sim = Command::new(CELLD)
-        .args(["sim", "--control", "--config"])
+        .args(["sim", "--control"])
+        .args(options)
+        .arg("--config")
         .arg(config)
         .stdout(Stdio::piped())
         .spawn()

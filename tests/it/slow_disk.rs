@@ -5,7 +5,8 @@
 //! the arm when it receives nothing for 200 ms, so that a loop that waits for one commit fails here.
 
 use crate::cell::{
-    LOG, celld, configuration, copy_calibration, result_of, start_daemon_with, start_sim, text, wait_until,
+    LOG, celld, configuration, copy_calibration, result_of, start_daemon_with, start_strict_sim, text,
+    wait_until,
 };
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -54,7 +55,7 @@ fn cell_keeps_its_heartbeat_on_a_slow_disk() {
     let folder = tempfile::tempdir().expect("a folder");
     let (cell, sim) = configuration(folder.path(), "127.7.6.3", 1);
     copy_calibration(folder.path());
-    let _sim = start_sim(&sim);
+    let _sim = start_strict_sim(&sim);
     let (library, marks) = (slow_disk(folder.path()), folder.path().join("marks"));
     let commits = || std::fs::metadata(&marks).map_or(0, |meta| meta.len());
     let slow = [("LD_PRELOAD", library.as_path()), ("SLOW_DISK_MARKS", marks.as_path())];

@@ -4,7 +4,9 @@
 //! A library put before libc's holds one call of the loop up for as long as a file is there: the process
 //! runs on, its other threads too, only the loop does not.
 
-use crate::cell::{CELLD, LOG, configuration, copy_calibration, start_daemon_with, start_sim, wait_until};
+use crate::cell::{
+    CELLD, LOG, configuration, copy_calibration, start_daemon_with, start_strict_sim, wait_until,
+};
 use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -96,7 +98,7 @@ fn cell_feeds_the_watchdog_only_while_every_task_answers() {
     wait_until("it says what it waits for", || manager.count("STATUS=waiting for the robot") > 0);
     manager.waits_for("WATCHDOG=1");
 
-    let _sim = start_sim(&sim);
+    let _sim = start_strict_sim(&sim);
     wait_until("it says what it does", || manager.count("STATUS=idle (disarmed)") > 0);
     manager.waits_for("WATCHDOG=1");
 

@@ -11,8 +11,8 @@ mod intake;
 mod unreachable;
 
 use crate::cell::{
-    CELLD, LOG, PATIENCE, Running, celld, configuration, copy_calibration, start_daemon_with, start_sim,
-    text, wait_until,
+    CELLD, LOG, PATIENCE, Running, celld, configuration, copy_calibration, start_daemon_with,
+    start_strict_sim, text, wait_until,
 };
 use serde_json::Value;
 use std::io::{Read, Write};
@@ -47,7 +47,7 @@ impl Cell {
         let folder = tempfile::tempdir().expect("a folder");
         let (config, sim) = configuration(folder.path(), address, 1);
         copy_calibration(folder.path());
-        Cell { folder, address, config, daemon: None, _sim: start_sim(&sim) }
+        Cell { folder, address, config, daemon: None, _sim: start_strict_sim(&sim) }
     }
 
     fn path(&self) -> &Path {

@@ -1,9 +1,10 @@
 //! File handles kept in reserve, for a process that must still take orders when it has no handles left.
 //!
 //! In: a call that opens something. Out: its result; where the process or the system has no handle left, one
-//! from the reserve is given up and the call is tried again. Who takes orders fills the reserve again, and who
-//! accepts connections keeps none while it is not full: otherwise the next connection would take each handle
-//! that comes free. It is opened at the start, so its numbers stay below a limit that is lowered later.
+//! from the reserve is given up and the call is tried again. Who takes orders fills the reserve again, and
+//! who accepts connections keeps none while it is not full: otherwise the next connection would take each
+//! handle that comes free. The reserve is opened at the start, so its numbers stay below a limit that is
+//! lowered later.
 
 use rustix::process::{Resource, getrlimit, setrlimit};
 use std::fs::File;
@@ -33,8 +34,8 @@ pub fn raise_limit() {
     }
 }
 
-/// Fills the reserve as far as handles are left; false if that is not enough. Without a call of this there is
-/// no reserve.
+/// Fills the reserve as far as handles are left; false if they do not suffice. Without a call of this there
+/// is no reserve.
 pub fn fill() -> bool {
     let mut reserve = reserve();
     while reserve.len() < SPARE {
