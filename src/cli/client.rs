@@ -3,7 +3,8 @@
 //! In: `--state` on the command line; faults. Out: the state folder, and a fault with its causes on stderr.
 
 use crate::cli::task::outln;
-use crate::jobs::command::{Command, FOR_ANOTHER, Given, Sent};
+use crate::jobs::command::{Command, Given, Sent};
+use crate::jobs::inbox::FOR_ANOTHER;
 use crate::jobs::journal::JournalError;
 use crate::jobs::state::{StateError, StateFolder};
 use crate::jobs::status::{STARTING, Status};

@@ -232,7 +232,7 @@ fn status(state: &StateFolder, format: Format) -> Result<u8, ClientError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::jobs::command::Inbox;
+    use crate::jobs::inbox::Inbox;
     use cell_machine::orders::Reply;
     use clap::Parser;
 

@@ -9,6 +9,7 @@ mod cuts;
 mod endurance;
 mod hands;
 mod orders;
+mod shell;
 mod storms;
 
 use crate::pair::camera_view::SightKind;
@@ -45,6 +46,7 @@ pub fn run(args: &SimulateArgs) -> u8 {
         Some("random") => return storms::run(args),
         Some("hands") => return hands::run(args),
         Some("cuts") => return cuts::run(args),
+        Some("shell") => return shell::run(args),
         _ => {}
     }
     let faults = args.faults.as_deref().map_or(Ok(Vec::new()), faults_of);

@@ -3,13 +3,14 @@
 //! In: sources of operators' orders (the state folder, the page). Out: orders for the loop, in which an
 //! order's number names its source as well; the machine's answers, each to where its order came from. A
 //! source that waits keeps no order of another one waiting. Stops go before everything that came with them,
-//! and an order to do something that was given before a stop or a release does not count after it. What is
-//! decided here is in `cell_machine::intake`, which the closed loop calls too.
+//! and an order to do something that was given before a stop or a release does not count after it. That
+//! is decided in `jobs::sources` and `cell_machine::intake`, which the closed loop calls too.
 
-use crate::daemon::messages::{Given, Message};
+use crate::daemon::messages::Message;
 use crate::daemon::watchdog::Beat;
+use crate::jobs::sources::{Batch, Given, Stops, number_of, source_of};
 use cell_edge::clock::boot_now_s;
-use cell_machine::intake::{LastStop, Unreachable, overtaken};
+use cell_machine::intake::Unreachable;
 use cell_machine::orders::{Order, Reply};
 use cell_values::time::Duration;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -23,18 +24,6 @@ const EVERY: Duration = Duration::from_millis(5);
 
 /// Number of a cancellation that came as a file: its answer is the job's end.
 pub const UNASKED: u64 = 0;
-
-/// The lower bits of an order's number are its source's own, the upper ones name the source.
-const SOURCE_BITS: u32 = 32;
-
-/// What a look at a source brought.
-#[derive(Default)]
-pub struct Batch {
-    /// Orders since the last look.
-    pub orders: Vec<Given>,
-    /// Why not every order could be taken.
-    pub fault: Option<Unreachable>,
-}
 
 /// Where operators' orders come from.
 pub trait Orders: Send + 'static {
@@ -65,37 +54,10 @@ impl Answers {
         if number == UNASKED {
             return;
         }
-        let source = usize::try_from(number >> SOURCE_BITS).ok().and_then(|index| self.0.get(index));
-        if let Some(source) = source {
-            let _ = source.send((number as u32, reply));
+        let (index, own) = source_of(number);
+        if let Some(source) = self.0.get(index) {
+            let _ = source.send((own, reply));
         }
-    }
-}
-
-/// The last order that ended a person's leave to move; of all sources.
-#[derive(Default)]
-pub struct Stops(Mutex<LastStop>);
-
-impl Stops {
-    fn last(&self) -> MutexGuard<'_, LastStop> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Notes those of these orders that end leave, before any of them is sent on.
-    pub fn note(&self, given: &[Given], now_s: f64) {
-        let mut last = self.last();
-        given.iter().for_each(|given| last.note(&given.order, given.boot_s, now_s));
-    }
-
-    /// Sends an order on, unless a stop has overtaken it; it is decided and sent in one step, so that no
-    /// stop comes between. `together`: a stop came in the same batch. `None`: it does not count.
-    fn pass<T>(&self, given: &Given, together: bool, now_s: f64, send: impl FnOnce() -> T) -> Option<T> {
-        let last = self.last();
-        let overtaken = match together {
-            true => last.overtakes_together(&given.order, given.boot_s, now_s),
-            false => last.overtakes(&given.order, given.boot_s, now_s),
-        };
-        (!overtaken).then(send)
     }
 }
 
@@ -170,25 +132,16 @@ pub struct OrderChannels {
 }
 
 impl OrderChannels {
-    /// Sends one on; what does not count is answered at once. False when the daemon is ending.
-    fn send(&self, index: usize, orders: &mut dyn Orders, together: bool, given: Given) -> bool {
-        let number = (index as u64) << SOURCE_BITS | u64::from(given.number);
-        let sent = self.stops.pass(&given, together, boot_now_s(), || match &given.order {
-            Order::Cancel(id) => (self.cancel)(number, id.clone(), given.clone()),
-            _ => self.events.blocking_send(Message::Order(number, given.clone())).is_ok(),
-        });
-        if sent.is_none() {
-            orders.reply(given.number, &overtaken());
-        }
-        sent.unwrap_or(true)
-    }
-
     /// Everything that a look at the source brought; stops go first. False when the daemon is ending.
-    fn send_all(&self, index: usize, orders: &mut dyn Orders, mut taken: Vec<Given>) -> bool {
-        self.stops.note(&taken, boot_now_s());
-        let together = taken.iter().any(|given| given.order.ends_leave());
-        taken.sort_by_key(|given| !given.order.only_stops());
-        taken.into_iter().all(|given| self.send(index, orders, together, given))
+    fn send_all(&self, index: usize, orders: &mut dyn Orders, taken: Vec<Given>) -> bool {
+        let send = |given: &Given| {
+            let number = number_of(index, given.number);
+            match &given.order {
+                Order::Cancel(id) => (self.cancel)(number, id.clone(), given.clone()),
+                _ => self.events.blocking_send(Message::Order(number, given.clone())).is_ok(),
+            }
+        };
+        self.stops.hand_on(taken, boot_now_s, send, |number, reply| orders.reply(number, &reply))
     }
 }
 

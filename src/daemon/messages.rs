@@ -2,39 +2,13 @@
 //!
 //! Plain data, below all of them, so that none of them has to know the loop.
 
+use crate::jobs::sources::Given;
 use cell_calibration::fit::Sample;
-use cell_edge::clock::boot_now_s;
 use cell_machine::device::robot_types::Link;
 use cell_machine::event::Event;
-use cell_machine::intake::Origin;
-use cell_machine::orders::Order;
 use cell_values::image::Image;
 use cell_vision::observe::{Observation, View};
-use std::sync::Arc;
 use tokio::net::TcpStream;
-
-/// Whether the client that gave an order still waits for its answer.
-pub type ClientWaits = Arc<dyn Fn() -> bool + Send + Sync>;
-
-/// An order that was given.
-#[derive(Clone)]
-pub struct Given {
-    /// Of its source: from 1, without repetition.
-    pub number: u32,
-    /// What is ordered.
-    pub order: Order,
-    /// When it was given, s since the machine started. May come from outside: any number or none.
-    pub boot_s: f64,
-    /// Judged when the order is decided.
-    pub client_waits: ClientWaits,
-}
-
-impl Given {
-    /// The order's origin, as it is now.
-    pub fn origin(&self) -> Origin {
-        Origin { age_s: boot_now_s() - self.boot_s, client_waits: (self.client_waits)() }
-    }
-}
 
 /// Something for the loop.
 pub enum Message {

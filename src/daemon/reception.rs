@@ -4,7 +4,8 @@
 //! there is. Without it the page could not be opened while the robot is switched off, which is when people
 //! want to see what is missing.
 
-use crate::daemon::intake::{Orders, Sources, Stops};
+use crate::daemon::intake::{Orders, Sources};
+use crate::jobs::sources::Stops;
 use cell_edge::clock::boot_now_s;
 use cell_machine::orders::Reply;
 use std::sync::Arc;
@@ -61,8 +62,7 @@ fn refuse(source: &mut dyn Orders, stops: &Stops) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::intake::Batch;
-    use crate::daemon::messages::Given;
+    use crate::jobs::sources::{Batch, Given};
     use cell_machine::orders::Order;
     use std::sync::mpsc::{Sender, channel};
 

@@ -22,7 +22,7 @@ use crate::daemon::sockets::{Addresses, Sockets};
 use crate::daemon::store::{Keeper, Store};
 use crate::daemon::watchdog::{Beat, Beats};
 use crate::daemon::workers::{PerceptionSetup, SeeRequest, busy, spawn_perception, spawn_plan};
-use cell_edge::clock::Clock;
+use cell_edge::clock::{Clock, boot_now_s};
 use cell_machine::device::robot_types::RobotState;
 use cell_machine::event::{Arm, Effect, Event, News};
 use cell_machine::intake::{HELD_UP_AFTER, Origin, Reach};
@@ -368,7 +368,7 @@ impl Shell {
         match message {
             Message::Event(event) => events.push(event),
             Message::Order(number, given) => {
-                let origin = given.origin();
+                let origin = given.origin(boot_now_s());
                 events.push(Event::Order(number, given.order, origin));
             }
             Message::Made(made) => events.extend(self.sockets.made(made)),

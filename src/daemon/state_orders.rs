@@ -6,10 +6,11 @@
 //! page, which is no order to the machine.
 
 use crate::daemon::gripper_memory::GripperMemory;
-use crate::daemon::intake::{Batch, Orders};
+use crate::daemon::intake::Orders;
 use crate::daemon::keeper::KeeperError;
-use crate::daemon::messages::Given;
-use crate::jobs::command::{Command, Inbox, Refused, SignIn, Taken};
+use crate::jobs::command::{Command, SignIn};
+use crate::jobs::inbox::{Inbox, Refused, Taken};
+use crate::jobs::sources::{Batch, Given};
 use crate::jobs::state::StateFolder;
 use cell_edge::clock::boot_now_s;
 use cell_machine::intake::{Origin, stale};

@@ -7,9 +7,10 @@
 //! person who aborts does not wait for a disk.
 
 use crate::daemon::intake::{Answers, Heard, OrderChannels, Sources, UNASKED, take_orders};
-use crate::daemon::messages::{Given, Message};
+use crate::daemon::messages::Message;
 use crate::daemon::watchdog::{Beat, Beats};
-use cell_edge::clock::Clock;
+use crate::jobs::sources::Given;
+use cell_edge::clock::{Clock, boot_now_s};
 use cell_machine::event::Event;
 use cell_machine::intake::{Origin, Unreachable, refusal};
 use cell_machine::orders::{Order, Reply};
@@ -251,7 +252,7 @@ impl Keeping {
 
     /// A job that waits is ended here; of the active one the machine decides.
     fn cancel(&mut self, number: u64, id: String, given: Given) {
-        let refused = refusal(&given.order, given.origin());
+        let refused = refusal(&given.order, given.origin(boot_now_s()));
         match refused.or_else(|| self.keeper.cancel_waiting(&id)) {
             Some(reply) => self.answers.send(number, reply),
             None => _ = self.events.blocking_send(Message::Order(number, given)),
@@ -267,7 +268,8 @@ impl Keeping {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::intake::{Batch, Orders};
+    use crate::daemon::intake::Orders;
+    use crate::jobs::sources::Batch;
     use cell_edge::clock::boot_now_s;
     use std::sync::Mutex;
 

@@ -8,11 +8,14 @@ pub(crate) mod edit;
 pub mod goal;
 pub mod goal_source;
 pub mod history;
+pub mod inbox;
 pub mod job_file;
 pub mod journal;
+pub mod order_queue;
 pub mod record;
 #[cfg(test)]
 mod samples;
+pub mod sources;
 pub mod spool;
 pub mod state;
 pub mod status;

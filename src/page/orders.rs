@@ -1,53 +1,24 @@
 //! Orders from the page on their way to the machine.
 //!
 //! In: orders with the person and the session that give them. Out: the same to a thread that takes them in
-//! beside those of the state folder and waits for no disk; the machine's answers back. Stops have a queue of
-//! their own: repeated stops of one session and kind share a place and an answer, so there is always room.
-//! An order counts only while its request is open. What a person has confirmed is remembered before it is
-//! answered.
+//! beside those of the state folder and waits for no disk; the machine's answers back. An order counts only
+//! while its request is open. What a person has confirmed is remembered before it is answered.
 
 use crate::daemon::gripper_memory::GripperMemory;
-use crate::daemon::intake::{Batch, Orders};
-use crate::daemon::messages::Given;
+use crate::daemon::intake::Orders;
+use crate::jobs::order_queue::{OrderQueue, OrderedBy, Waiting};
+use crate::jobs::sources::{Batch, Given};
 use cell_edge::clock::boot_now_s;
 use cell_machine::orders::{Order, Reply};
-use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::oneshot;
 
-/// Orders other than stops that wait to be taken in.
-const QUEUE: usize = 32;
-
 /// How long the machine may take to answer: the arm may have to stop first.
 const ANSWER_WITHIN: Duration = Duration::from_secs(15);
 
-/// Who gives an order.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct OrderedBy {
-    /// As the log names the person.
-    pub name: String,
-    /// The session; no secret.
-    pub session: String,
-}
-
-/// An order on its way.
-struct Waiting {
-    order: Order,
-    by: OrderedBy,
-    boot_s: f64,
-    /// Lowered with the request.
-    open: Arc<AtomicBool>,
-    answers: Vec<oneshot::Sender<Reply>>,
-}
-
-#[derive(Default)]
-struct Queue {
-    stops: Vec<Waiting>,
-    others: VecDeque<Waiting>,
-    closed: bool,
-}
+type Queue = OrderQueue<oneshot::Sender<Reply>>;
 
 /// Lowers its flag when the request is over, however it ends.
 struct OpenRequest(Arc<AtomicBool>);
@@ -92,26 +63,8 @@ impl OrderSender {
         open: &OpenRequest,
         answer: oneshot::Sender<Reply>,
     ) -> Result<(), Reply> {
-        let mut queue = queue(&self.0);
-        if queue.closed {
-            return Err(Reply::refuse("celld is ending"));
-        }
-        let same = |waits: &&mut Waiting| waits.order == order && waits.by.session == by.session;
-        if let Some(waits) = queue.stops.iter_mut().find(same) {
-            waits.answers.push(answer);
-            return Ok(());
-        }
-        let stops = order.only_stops();
         let (boot_s, open, answers) = (boot_now_s(), open.0.clone(), vec![answer]);
-        let waiting = Waiting { order, by, boot_s, open, answers };
-        match stops {
-            true => queue.stops.push(waiting),
-            false if queue.others.len() >= QUEUE => {
-                return Err(Reply::refuse("too many orders wait to be taken in"));
-            }
-            false => queue.others.push_back(waiting),
-        }
-        Ok(())
+        queue(&self.0).put(Waiting { order, by, boot_s, open, answers })
     }
 }
 
@@ -120,7 +73,7 @@ pub struct PageOrders {
     page: Arc<Mutex<Queue>>,
     memory: GripperMemory,
     last: u32,
-    unanswered: Vec<(u32, Waiting)>,
+    unanswered: Vec<(u32, Waiting<oneshot::Sender<Reply>>)>,
 }
 
 /// Where the page gives its orders, and the end at which its orders arrive; `memory`: where a confirmed
@@ -136,11 +89,7 @@ impl Orders for PageOrders {
     }
 
     fn take(&mut self) -> Batch {
-        let taken: Vec<Waiting> = {
-            let mut queue = queue(&self.page);
-            let stops = std::mem::take(&mut queue.stops);
-            stops.into_iter().chain(std::mem::take(&mut queue.others)).collect()
-        };
+        let taken = queue(&self.page).take();
         let mut orders = Vec::with_capacity(taken.len());
         for waiting in taken {
             self.last += 1;
@@ -185,13 +134,8 @@ fn answer_all(answers: Vec<oneshot::Sender<Reply>>, reply: &Reply) {
 impl Drop for PageOrders {
     /// What is with the machine may still be carried out, or was.
     fn drop(&mut self) {
-        let waiting = {
-            let mut queue = queue(&self.page);
-            queue.closed = true;
-            std::mem::take(&mut *queue)
-        };
-        queue(&self.page).closed = true;
-        for waits in waiting.stops.into_iter().chain(waiting.others) {
+        let waiting = queue(&self.page).close();
+        for waits in waiting {
             answer_all(waits.answers, &Reply::refuse("celld ends; nothing was done"));
         }
         for (_, waits) in self.unanswered.drain(..) {
@@ -204,6 +148,7 @@ impl Drop for PageOrders {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::jobs::order_queue::QUEUE;
     use crate::jobs::state::StateFolder;
 
     fn page() -> (tempfile::TempDir, OrderSender, PageOrders) {
@@ -265,11 +210,7 @@ mod tests {
         let viewers: Vec<_> =
             (0..200).map(|n| give(&order_sender, Order::Pause, &(n % 100).to_string())).collect();
         let abort = give(&order_sender, Order::Abort, "engineer");
-        let all_wait = || {
-            let queue = queue(&order_sender.0);
-            let answers: usize = queue.stops.iter().map(|waits| waits.answers.len()).sum();
-            (answers, queue.others.len()) == (201, QUEUE)
-        };
+        let all_wait = || queue(&order_sender.0).waiting() == (201, QUEUE);
         while !all_wait() {
             tokio::task::yield_now().await;
         }

@@ -5,9 +5,9 @@
 //! page that is of now; what stops takes a session alone.
 
 use crate::jobs::command::Command;
+use crate::jobs::order_queue::OrderedBy;
 use crate::page::access::{Person, Redeemed, SESSION_S};
 use crate::page::guard::{Ends, Peer, Refused, Via, refusal, secret};
-use crate::page::orders::OrderedBy;
 use crate::page::shared::{App, Shared};
 use axum::body::Bytes;
 use axum::extract::rejection::{BytesRejection, JsonRejection};

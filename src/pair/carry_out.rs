@@ -50,7 +50,10 @@ impl Pair {
                 }
                 self.disk.commit(self.frame, number, record);
             }
-            Effect::Reply { number, reply } => self.replies.push_back((number, reply)),
+            Effect::Reply { number, reply } => {
+                self.shell.answered(number);
+                self.replies.push_back((number, reply));
+            }
             Effect::WantJob => self.store.wanted(),
             Effect::Notify(news) => self.notify(news),
             Effect::End(how) => self.ended = Some(how.map_err(|fault| fault.to_string())),

@@ -26,6 +26,8 @@ pub mod page;
 pub mod reactions;
 pub mod rules;
 pub mod run;
+pub mod shell;
+pub mod shell_jobs;
 pub mod stage;
 pub mod store;
 pub mod storm;
@@ -44,6 +46,7 @@ use crate::pair::mirror::Mirror;
 use crate::pair::network::Network;
 use crate::pair::operator::Operator;
 use crate::pair::rules::Rules;
+use crate::pair::shell::Shell;
 use crate::pair::stage::Stage;
 use crate::pair::store::Store;
 use crate::pair::trace::Trace;
@@ -106,6 +109,7 @@ pub struct Pair {
     disk: Disk,
     camera_view: CameraView,
     store: Store,
+    shell: Shell,
     rng: ChaCha8Rng,
     later: Vec<Later>,
     due: Vec<Event>,
@@ -153,6 +157,7 @@ impl Pair {
             frame: 0,
             disk: Disk::new(seed),
             store: Store::default(),
+            shell: Shell::default(),
             rng: ChaCha8Rng::seed_from_u64(seed ^ 0x7061_6972),
             later: Vec::new(),
             due: Vec::new(),
@@ -285,6 +290,17 @@ impl Pair {
         self.orders
     }
 
+    /// The shell around the machine.
+    pub fn shell(&mut self) -> &mut Shell {
+        &mut self.shell
+    }
+
+    /// celld's process stands still for so many seconds, as after SIGSTOP.
+    pub fn stand_still(&mut self, seconds: f64) {
+        self.trace.line(self.frame, || format!("celld stands still for {seconds:.3} s"));
+        self.shell.stop(self.frame + 1, (seconds / FRAME_SECONDS) as u64);
+    }
+
     /// The answers that have come, oldest first.
     pub fn take_replies(&mut self) -> Vec<(u64, Reply)> {
         self.replies.drain(..).collect()
@@ -331,6 +347,7 @@ impl Pair {
         self.status = None;
         self.ended = None;
         self.rules.restarted();
+        self.shell.restarted();
         let mut parameters = self.stage.parameters.clone();
         parameters.nonce_seed = parameters.nonce_seed.wrapping_add(1_000_003 * self.runs);
         self.machine = Machine::new(parameters)?;
@@ -347,6 +364,11 @@ impl Pair {
         self.simulator.advance();
         let mut events = std::mem::take(&mut self.due);
         self.network.step(self.frame, &mut self.simulator, &mut events);
+        if !self.take_orders(&mut events) {
+            // What has come lies in the kernel until the process goes on.
+            self.due = events;
+            return self.rules.check(self.frame, &self.machine, &self.simulator, None);
+        }
         self.take_commits(&mut events);
         self.take_looks();
         self.take_later(&mut events);
@@ -421,6 +443,30 @@ impl Pair {
         events.into_iter().for_each(|event| adapter.event(event, &mut passed));
         effects.into_iter().for_each(|effect| self.carry_out(effect));
         passed
+    }
+
+    /// What people and the shell do in this frame; false while celld's process stands still.
+    fn take_orders(&mut self, events: &mut Vec<Event>) -> bool {
+        let (frame, mut happened) = (self.frame, Vec::new());
+        self.shell.people(frame, &mut happened);
+        let runs = !self.shell.is_stopped(frame);
+        if runs && self.ended.is_none() {
+            let handed = self.shell.step(frame);
+            happened.extend(handed.happened);
+            // What the shell knows comes first, as in a turn of the daemon's loop.
+            for event in &handed.events {
+                if let Event::Order(number, order, _) = event {
+                    self.trace.line(frame, || format!("order {number} {order:?} through the shell"));
+                    self.rules.ordered(*number, order);
+                }
+            }
+            events.splice(0..0, handed.events);
+        }
+        for one in &happened {
+            self.rules.on_the_way(frame, one, self.shell.clients());
+        }
+        self.rules.shell(runs && self.ended.is_none(), self.shell.folder());
+        runs
     }
 
     fn take_commits(&mut self, events: &mut Vec<Event>) {

@@ -12,6 +12,7 @@ mod calibration;
 mod conduct;
 mod found;
 mod holding;
+mod intake;
 mod limits;
 mod rule;
 mod solid;
@@ -28,9 +29,12 @@ use crate::pair::rules::calibration::Calibration;
 use crate::pair::rules::conduct::{Conduct, is_grip};
 use crate::pair::rules::found::Found;
 use crate::pair::rules::holding::Holding;
+use crate::pair::rules::intake::Intake;
 use crate::pair::rules::limits::Limits;
 use crate::pair::rules::truth::Truth;
 use crate::pair::rules::waits::Waits;
+use crate::pair::shell::folder::Fate;
+use crate::pair::shell::{Client, Happened};
 use crate::pair::stage::Stage;
 use cell_machine::device::gripper_types::ModbusRequest;
 use cell_machine::device::robot_types::Link;
@@ -62,7 +66,10 @@ pub struct Rules {
     limits: Limits,
     arming: Arming,
     holding: Holding,
+    intake: Intake,
     waits: Waits,
+    /// Celld's process runs; the folder of commands.
+    shell: (bool, Fate),
 }
 
 impl Rules {
@@ -80,7 +87,9 @@ impl Rules {
             limits: Limits::new(model.arm.limits.clone(), gripper.flange_from_tool, model.round.clone()),
             arming: Arming::new(model.tolerances.arm_lapse.as_secs_f64()),
             holding: Holding::default(),
+            intake: Intake::default(),
             waits: Waits::new(model.tolerances.retries),
+            shell: (true, Fate::Sound),
         }
     }
 
@@ -121,12 +130,26 @@ impl Rules {
         self.waits.acted_on();
     }
 
+    /// Something happened to orders on their way to the machine.
+    pub fn on_the_way(&mut self, frame: u64, happened: &Happened, clients: &[Client]) {
+        self.intake.happened(frame, happened, clients);
+    }
+
+    /// The shell at the end of a frame: whether its process runs, and the folder of commands.
+    pub fn shell(&mut self, runs: bool, folder: Fate) {
+        self.shell = (runs, folder);
+        if !runs {
+            self.conduct.stands_still();
+        }
+    }
+
     /// The daemon is gone and comes back: nothing that it knew counts.
     pub fn restarted(&mut self) {
         self.conduct.restarted();
         self.approvals.restarted();
         self.arming.restarted();
         self.holding.restarted();
+        self.intake.restarted();
         self.limits.round_over();
         self.waits.acted_on();
     }
@@ -192,6 +215,7 @@ impl Rules {
         if reply.accepted && self.conduct.order(number) == Some(&Order::Calibrate) {
             self.limits.round_begins(None);
         }
+        self.intake.answered(number, self.conduct.order(number), reply.accepted, &mut self.found);
         self.approvals.answered(number, reply.accepted);
         self.arming.answered(self.frame, number, reply);
     }
@@ -233,6 +257,7 @@ impl Rules {
         self.conduct.frame(&truth, machine, simulator);
         self.limits.frame(&truth, &mut self.found);
         self.arming.frame(&truth, &mut self.found);
+        self.intake.frame(&truth, self.shell.0, self.shell.1, &mut self.found);
         let world = lock(&simulator.core().world);
         self.calibration.frame(&truth, &world);
         self.waits.frame(&truth, &world, &mut self.found);

@@ -12,6 +12,7 @@ use celld::pair::outcome::Phase;
 use celld::pair::page::{PAGE, PAGE_SEED, expected, title};
 use celld::pair::reactions::{ROWS, Row};
 use celld::pair::run::{bring_up, run_jobs, true_poses};
+use celld::pair::shell_jobs::shell_job;
 use celld::pair::storm::{storm, strikes};
 use celld::pair::sweep::{case, cases, judge};
 use celld::pair::table::stage;
@@ -142,6 +143,21 @@ fn no_rule_is_broken_and_no_job_lost_under_random_faults() {
             let stage = stage(*seed, SightKind::Corners).unwrap();
             let (aftermath, _) = storm(&stage, Choice::of(*seed), &strikes(*seed)).unwrap();
             aftermath.faults.into_iter().map(move |fault| format!("seed {seed}: {fault}"))
+        })
+        .collect();
+    assert!(wrong.is_empty(), "part {}:\n{}", part(), wrong.join("\n"));
+}
+
+/// Orders that come late, twice or never, and a daemon that is held up: `celld simulate --faults shell` runs
+/// as many as there is time for.
+#[test]
+fn no_rule_is_broken_and_no_order_is_late_beside_a_disturbed_shell() {
+    let seeds: Vec<u64> = (0..48).filter(|seed| chosen(*seed as usize, 2)).collect();
+    let wrong: Vec<String> = seeds
+        .par_iter()
+        .flat_map_iter(|seed| {
+            let (faults, _) = shell_job(&stage(*seed, SightKind::Corners).unwrap(), *seed, false).unwrap();
+            faults.into_iter().map(move |fault| format!("seed {seed}: {fault}"))
         })
         .collect();
     assert!(wrong.is_empty(), "part {}:\n{}", part(), wrong.join("\n"));

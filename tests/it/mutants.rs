@@ -11,6 +11,7 @@ mod motion;
 mod orders;
 mod plant;
 mod rtde;
+mod shell;
 mod sight;
 
 use crate::mutants::drill::{Case, SEED, run, submit};
@@ -26,7 +27,7 @@ use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 use std::collections::BTreeSet;
 
 fn cases() -> Vec<&'static Case> {
-    [motion::CASES, gripper::CASES, sight::CASES, arming::CASES, orders::CASES]
+    [motion::CASES, gripper::CASES, sight::CASES, arming::CASES, orders::CASES, shell::CASES]
         .into_iter()
         .flatten()
         .collect()

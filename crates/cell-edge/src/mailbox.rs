@@ -3,8 +3,8 @@
 //! In: a folder, held open from the start. Out: the names in it, a file with its text, its owner and the
 //! sender's lock, whether the folder is still the one under its name. A sender holds an exclusive lock on
 //! its file until it has its answer; the kernel frees the lock with the process, however that ends, so the
-//! receiver sees whether a client still waits. Nothing here waits for a disk: what is left counts only for
-//! the process that runs now, and no file is synced. Listing needs no new handle.
+//! receiver sees whether a client still waits. Nothing here waits for a disk: a file is for the process that
+//! runs now and not for the one after a power cut, so none is synced. Listing needs no new handle.
 
 use crate::files::{FileError, Unfit, draft, share_with_group};
 use crate::reserve;
@@ -40,13 +40,13 @@ impl SenderLock {
 
 /// A file that was left.
 #[derive(Debug)]
-pub struct Letter {
+pub struct Letter<L = SenderLock> {
     /// Its text.
     pub text: String,
     /// The system's number of its owner.
     pub uid: u32,
     /// The sender's lock, if the sender took one.
-    pub lock: SenderLock,
+    pub lock: L,
 }
 
 /// The receiver's end of the folder.

@@ -16,8 +16,9 @@ pub struct SimulateArgs {
     pub(super) jobs: usize,
     /// A fault file, as for `celld sim`; or `sweep`: every fault in every phase of a pick-n-place; or
     /// `random`: one to three faults in every job, each job of the next seed; `hands`: the same with hands
-    /// that push objects, and the camera, between looks; `cuts`: power cuts after every effect of every job
-    #[arg(long, value_name = "FILE|sweep|random|hands|cuts")]
+    /// that push objects, and the camera, between looks; `shell`: with late orders, and a celld that stands
+    /// still or is cut off from its folder; `cuts`: power cuts after every effect of every job
+    #[arg(long, value_name = "FILE|sweep|random|hands|shell|cuts")]
     pub(super) faults: Option<PathBuf>,
     /// One cell at work for so many hours, with a fault every ten minutes: a line an hour says what was done
     /// and how large the machine and this process are
@@ -35,7 +36,7 @@ pub struct SimulateArgs {
     #[arg(long, value_name = "FILE")]
     pub(super) write: Option<PathBuf>,
     /// Record every run and carry it out again beside it, from the recording's bytes: each decision has to
-    /// be the same (not with `sweep`, `hands`, `cuts` and `--orders`)
+    /// be the same (not with `sweep`, `hands`, `shell`, `cuts` and `--orders`)
     #[arg(long)]
     pub(super) replay: bool,
     /// How the cell sees: rendered pictures with the real detector, or marker corners with its noise

@@ -147,6 +147,11 @@ impl Conduct {
         self.way_chosen |= matches!(order, Order::Recover(way) if *way != WayBack::Show);
     }
 
+    /// Celld's process stands still in the frame that comes: it reads nothing.
+    pub fn stands_still(&mut self) {
+        self.last_read = self.frame + 1;
+    }
+
     /// The daemon is gone and comes back: nothing that it knew counts.
     pub fn restarted(&mut self) {
         self.open.clear();

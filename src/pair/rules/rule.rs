@@ -79,7 +79,7 @@ pub enum Rule {
     ArmedThroughPower,
     /// The cell is armed, and no person has ordered it.
     ArmedWithoutOrder,
-    /// An order that only stops is not decided within 20 ms.
+    /// An order that only stops is not handed on within 10 ms, or not decided within 20.
     StopLate,
     /// The status does not say what hangs on the gripper, or says that something does where nothing hangs.
     HeldNotTrue,
@@ -89,13 +89,20 @@ pub enum Rule {
     WaitWithoutEnd,
     /// One pick-n-place is begun again and again.
     RetriesWithoutEnd,
+    /// An order that does more than stop is carried out although its client had left, or it is older than
+    /// 10 s.
+    OrderOutOfTime,
+    /// The cell stays armed although orders have not reached it for longer than a second.
+    ArmedCutOff,
+    /// The cell stays armed although celld's process stood still for longer than a second.
+    ArmedAfterHoldUp,
     /// The recorded run, carried out again, decides something else.
     ReplayDiffers,
 }
 
 impl Rule {
     /// All of them.
-    pub const ALL: [Rule; 40] = [
+    pub const ALL: [Rule; 43] = [
         Rule::MotionWhileDisarmed,
         Rule::GripBeforeCommit,
         Rule::MotionOnStaleState,
@@ -135,6 +142,9 @@ impl Rule {
         Rule::TextInScript,
         Rule::WaitWithoutEnd,
         Rule::RetriesWithoutEnd,
+        Rule::OrderOutOfTime,
+        Rule::ArmedCutOff,
+        Rule::ArmedAfterHoldUp,
         Rule::ReplayDiffers,
     ];
 }

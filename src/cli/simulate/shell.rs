@@ -1,0 +1,47 @@
+//! `celld simulate --faults shell`: many jobs with a disturbed shell around the machine, on all cores.
+//!
+//! In: the first seed, how many jobs. Out: what must not be, and the command that repeats it.
+
+use super::args::{SimulateArgs, keep_trace};
+use crate::cli::progress::Progress;
+use crate::pair::camera_view::SightKind;
+use crate::pair::shell_jobs::shell_job;
+use crate::pair::table::stage;
+use cell_edge::terminal::{complain, print};
+use rayon::iter::{IntoParallelIterator, ParallelIterator};
+use std::time::Instant;
+
+/// Runs it; returns the exit code.
+pub(super) fn run(args: &SimulateArgs) -> u8 {
+    let bar = Progress::new(args.jobs, "jobs");
+    let began = Instant::now();
+    let seeds = args.seed..args.seed.saturating_add(args.jobs as u64);
+    let ran: Result<Vec<usize>, String> = seeds
+        .into_par_iter()
+        .map(|seed| {
+            let (faults, pair) = shell_job(&stage(seed, SightKind::Corners)?, seed, args.trace.is_some())?;
+            keep_trace(args, &pair)?;
+            bar.inc();
+            if !faults.is_empty() {
+                let again = format!("repeat with: celld simulate --faults shell --jobs 1 --seed {seed}");
+                bar.suspend(|| print(&format!("seed {seed}\n    {}\n    {again}\n", faults.join("\n    "))));
+            }
+            Ok(faults.len())
+        })
+        .collect();
+    bar.finish();
+    match ran {
+        Ok(ran) => {
+            let missed = ran.iter().filter(|count| **count > 0).count();
+            let (jobs, seconds) = (ran.len(), began.elapsed().as_secs_f64());
+            print(&format!(
+                "{jobs} jobs with a disturbed shell, in {seconds:.0} s: {missed} with something that must not be\n"
+            ));
+            u8::from(missed > 0)
+        }
+        Err(message) => {
+            complain(&message);
+            2
+        }
+    }
+}

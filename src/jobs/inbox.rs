@@ -1,0 +1,411 @@
+//! The folder of commands, as the daemon reads it.
+//!
+//! In: a folder, through the calls of [`Folder`] alone, so that the closed loop has one without files. Out:
+//! commands, each once, stops before everything else; files that are no commands, with their answers; why
+//! the folder cannot be read.
+
+use crate::jobs::command::{Command, Envelope, MAX_BYTES, STOP_MARK, SUFFIX};
+use cell_edge::files::{FileError, create_folder, write_answer};
+use cell_edge::mailbox::{Letter, Mailbox, SenderLock};
+use cell_machine::intake::Unreachable;
+use cell_machine::orders::Reply;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// New files that are looked into at a time, to find the stops among them.
+const LOOKED_INTO_AT_ONCE: usize = 256;
+
+/// Commands other than stops that are taken at a time.
+const TAKEN_AT_ONCE: usize = 8;
+
+/// The answer to a command that was left for an earlier daemon.
+pub const FOR_ANOTHER: &str = "this command was meant for a daemon that has ended";
+
+const NO_COMMAND: &str = "this file is not a command of this version of celld";
+
+/// The calls by which commands are read.
+pub trait Folder {
+    /// Held while the sender of a command waits.
+    type Lock;
+
+    /// The folder's path, for answers and faults.
+    fn path(&self) -> &Path;
+
+    /// Its name still leads to it.
+    fn is_in_place(&self) -> bool;
+
+    /// The names that end in `suffix`, in order.
+    ///
+    /// # Errors
+    /// The folder cannot be listed.
+    fn names(&self, suffix: &str) -> Result<Vec<String>, FileError>;
+
+    /// The plain file of this name.
+    ///
+    /// # Errors
+    /// It is none of at most `max_bytes`, or cannot be read ([`FileError::is_absent`]: it is gone).
+    fn read(&self, name: &str, max_bytes: u64) -> Result<Letter<Self::Lock>, FileError>;
+
+    /// Removes a file; false where its sender has taken it back.
+    ///
+    /// # Errors
+    /// The system refuses.
+    fn claim(&self, name: &str) -> Result<bool, FileError>;
+}
+
+impl Folder for Mailbox {
+    type Lock = SenderLock;
+
+    fn path(&self) -> &Path {
+        Mailbox::path(self)
+    }
+
+    fn is_in_place(&self) -> bool {
+        Mailbox::is_in_place(self)
+    }
+
+    fn names(&self, suffix: &str) -> Result<Vec<String>, FileError> {
+        Mailbox::names(self, suffix)
+    }
+
+    fn read(&self, name: &str, max_bytes: u64) -> Result<Letter, FileError> {
+        Mailbox::read(self, name, max_bytes)
+    }
+
+    fn claim(&self, name: &str) -> Result<bool, FileError> {
+        Mailbox::claim(self, name)
+    }
+}
+
+/// A command that the daemon took, to be answered.
+#[derive(Clone, Debug)]
+pub struct Taken<L = SenderLock> {
+    /// What is requested.
+    pub command: Command,
+    /// Who gave it: the system's number of the owner of its file.
+    pub uid: u32,
+    /// When it was given, s since the machine started, as its sender says.
+    pub boot_s: f64,
+    /// Held while its sender waits for the answer.
+    pub lock: L,
+    /// Where its file lay.
+    pub path: PathBuf,
+}
+
+impl Taken {
+    /// Removes the file of a stop, and leaves the answer.
+    ///
+    /// # Errors
+    /// The answer cannot be written.
+    pub fn answer(&self, reply: &Reply) -> Result<(), FileError> {
+        if self.command.only_stops() {
+            let _ = std::fs::remove_file(&self.path);
+        }
+        answer(&self.path, self.uid, reply)
+    }
+}
+
+/// What a look into the folder brought.
+#[derive(Debug)]
+pub struct Mail<L = SenderLock> {
+    /// Commands, stops first, then in the order of sending.
+    pub taken: Vec<Taken<L>>,
+    /// Files that are no command for this daemon, with their answers.
+    pub refused: Vec<Refused>,
+    /// Why not everything could be taken.
+    pub fault: Option<Unreachable>,
+}
+
+impl<L> Default for Mail<L> {
+    fn default() -> Mail<L> {
+        Mail { taken: Vec::new(), refused: Vec::new(), fault: None }
+    }
+}
+
+/// A file that is no command for this daemon.
+#[derive(Debug)]
+pub struct Refused {
+    path: PathBuf,
+    uid: u32,
+    why: &'static str,
+}
+
+impl Refused {
+    /// Leaves the answer.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn answer(&self) -> Result<(), FileError> {
+        answer(&self.path, self.uid, &Reply::refuse(self.why))
+    }
+}
+
+/// What is known of a file that lies in the folder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Known {
+    /// A stop that was handed on; its file is about to go.
+    Obeyed,
+    /// Anything else: its turn comes.
+    Waits,
+}
+
+/// The daemon's end.
+#[derive(Debug)]
+pub struct Inbox<F = Mailbox> {
+    folder: F,
+    daemon: String,
+    known: BTreeMap<String, Known>,
+}
+
+impl Inbox {
+    /// Opens the folder for the daemon called `daemon` (a name no other run has) and clears what was left.
+    ///
+    /// # Errors
+    /// The folder cannot be created or listed, or a file in it cannot be removed.
+    pub fn open(folder: &Path, daemon: impl Into<String>) -> Result<Inbox, FileError> {
+        create_folder(folder)?;
+        let mailbox = Mailbox::open(folder)?;
+        for name in mailbox.names("")? {
+            if !folder.join(&name).is_dir() {
+                mailbox.claim(&name)?;
+            }
+        }
+        Ok(Inbox::of(mailbox, daemon))
+    }
+}
+
+impl<F: Folder> Inbox<F> {
+    /// Reads this folder for the daemon called `daemon`.
+    pub fn of(folder: F, daemon: impl Into<String>) -> Inbox<F> {
+        Inbox { folder, daemon: daemon.into(), known: BTreeMap::new() }
+    }
+
+    /// The folder.
+    pub fn folder(&self) -> &F {
+        &self.folder
+    }
+
+    /// Takes what is there: every stop, and up to `room` other commands in the order of sending. Whatever
+    /// happens to one file, what was taken besides is returned.
+    pub fn take(&mut self, room: usize) -> Mail<F::Lock> {
+        let mut mail = Mail::default();
+        let folder = || self.folder.path().display().to_string();
+        if !self.folder.is_in_place() {
+            mail.fault = Some(Unreachable::FolderGone(folder()));
+            return mail;
+        }
+        let names = match self.folder.names(SUFFIX) {
+            Ok(names) => names,
+            Err(error) => {
+                mail.fault = Some(Unreachable::Unreadable(folder(), error.reason()));
+                return mail;
+            }
+        };
+        self.known.retain(|name, _| names.binary_search(name).is_ok());
+        self.take_stops(&names, &mut mail);
+        let mut room = room.min(TAKEN_AT_ONCE);
+        for name in names.iter().filter(|name| self.known.get(*name) == Some(&Known::Waits)) {
+            if room == 0 {
+                break;
+            }
+            room -= 1;
+            self.take_one(name, &mut mail);
+        }
+        mail
+    }
+
+    /// Looks into new files and takes the stops among them.
+    fn take_stops(&mut self, names: &[String], mail: &mut Mail<F::Lock>) {
+        let (stops, others): (Vec<&String>, Vec<&String>) = names
+            .iter()
+            .filter(|name| !self.known.contains_key(*name))
+            .partition(|name| name.contains(STOP_MARK));
+        for name in stops.into_iter().chain(others).take(LOOKED_INTO_AT_ONCE) {
+            match self.read(name) {
+                Ok(Ok(taken)) if taken.command.only_stops() => {
+                    self.known.insert(name.clone(), Known::Obeyed);
+                    mail.taken.push(taken);
+                }
+                Ok(_) => _ = self.known.insert(name.clone(), Known::Waits),
+                Err(fault) => mail.fault = fault.or(mail.fault.take()),
+            }
+        }
+    }
+
+    /// Takes a command that is no stop: removed first, so that its sender cannot take it back any more.
+    fn take_one(&self, name: &str, mail: &mut Mail<F::Lock>) {
+        let read = match self.read(name) {
+            Ok(read) => read,
+            Err(fault) => return mail.fault = fault.or(mail.fault.take()),
+        };
+        match self.folder.claim(name) {
+            // Its sender has taken it back.
+            Ok(false) => {}
+            Ok(true) => match read {
+                Ok(taken) => mail.taken.push(taken),
+                Err(refused) => mail.refused.push(refused),
+            },
+            Err(error) => mail.fault = Some(self.unreadable(&error)),
+        }
+    }
+
+    /// A file as a command, or why it is none. The error is of the folder; `None`: the file is gone.
+    fn read(&self, name: &str) -> Result<Result<Taken<F::Lock>, Refused>, Option<Unreachable>> {
+        let path = self.folder.path().join(name);
+        let refused = |uid, why| Ok(Err(Refused { path: path.clone(), uid, why }));
+        let letter = match self.folder.read(name, MAX_BYTES) {
+            Ok(letter) => letter,
+            Err(error) if error.is_absent() => return Err(None),
+            Err(FileError::Unfit { .. }) => return refused(u32::MAX, NO_COMMAND),
+            Err(error) => return Err(Some(self.unreadable(&error))),
+        };
+        match serde_json::from_str::<Envelope>(&letter.text) {
+            Err(_) => refused(letter.uid, NO_COMMAND),
+            Ok(Envelope { daemon, .. }) if daemon != self.daemon => refused(letter.uid, FOR_ANOTHER),
+            Ok(Envelope { boot_s, command, .. }) => {
+                Ok(Ok(Taken { command, uid: letter.uid, boot_s, lock: letter.lock, path }))
+            }
+        }
+    }
+
+    fn unreadable(&self, error: &FileError) -> Unreachable {
+        Unreachable::Unreadable(self.folder.path().display().to_string(), error.reason())
+    }
+}
+
+/// An answer may be a secret (`celld open`): it is for the user who gave the command, and another user than
+/// the daemon's reads it by the group that both are in.
+fn answer(command: &Path, requested_by: u32, reply: &Reply) -> Result<(), FileError> {
+    let text = serde_json::to_string(reply).expect("replies have string keys only");
+    let own = requested_by == rustix::process::geteuid().as_raw();
+    write_answer(&command.with_extension("reply"), text.as_bytes(), !own)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::jobs::command::{Given, Sent};
+    use std::os::unix::fs::MetadataExt;
+
+    fn given(unix_s: f64) -> Given {
+        Given { unix_s, boot_s: 100.0 }
+    }
+
+    fn folder() -> tempfile::TempDir {
+        tempfile::tempdir().unwrap()
+    }
+
+    fn commands(mail: &Mail) -> Vec<&Command> {
+        mail.taken.iter().map(|taken| &taken.command).collect()
+    }
+
+    #[test]
+    fn commands_arrive_once_in_order_and_are_answered() {
+        let folder = folder();
+        let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
+        let approve = Command::Approve { id: "tidy".into(), plan: 3 };
+        let first = Sent::send(folder.path(), "d1", &Command::Arm, given(10.0)).unwrap();
+        let _second = Sent::send(folder.path(), "d1", &approve, given(10.0)).unwrap();
+        assert_eq!(first.poll().unwrap(), None);
+        let mail = inbox.take(9);
+        assert_eq!(commands(&mail), [&Command::Arm, &approve]);
+        assert!(inbox.take(9).taken.is_empty());
+        let reply = Reply { accepted: false, message: "the robot is in local mode".into() };
+        mail.taken[0].answer(&reply).unwrap();
+        // The client is the daemon's own user here: an answer may be a secret.
+        let mode = std::fs::metadata(&first.reply).unwrap().mode() & 0o777;
+        assert_eq!(mode, 0o600);
+        assert_eq!(first.poll().unwrap(), Some(reply));
+        assert_eq!(first.poll().unwrap(), None);
+    }
+
+    #[test]
+    fn a_stop_is_taken_before_a_thousand_other_commands() {
+        let folder = folder();
+        let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
+        let text = r#"{"daemon": "d1", "boot_s": 100.0, "command": {"do": "resume"}}"#;
+        (0..1000).for_each(|n| std::fs::write(folder.path().join(format!("{n:04}.command")), text).unwrap());
+        let abort = Sent::send(folder.path(), "d1", &Command::Abort, given(10.0)).unwrap();
+        let mail = inbox.take(3);
+        assert_eq!(commands(&mail), [&Command::Abort, &Command::Resume, &Command::Resume, &Command::Resume]);
+        assert!(abort.lies_there() && !commands(&inbox.take(3)).contains(&&Command::Abort), "obeyed once");
+        mail.taken[0].answer(&Reply::accept("stopped")).unwrap();
+        assert!(!abort.lies_there() && abort.poll().unwrap().is_some_and(|reply| reply.accepted));
+        // One that nothing in its name marks is found within a few looks.
+        std::fs::write(folder.path().join("9999.command"), text.replace("resume", "abort")).unwrap();
+        let found = (0..8).any(|_| commands(&inbox.take(0)).contains(&&Command::Abort));
+        assert!(found, "among a thousand others");
+    }
+
+    #[test]
+    fn the_daemon_sees_whether_the_sender_still_waits() {
+        let folder = folder();
+        let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
+        let sent = Sent::send(folder.path(), "d1", &Command::Arm, given(10.0)).unwrap();
+        let mail = inbox.take(1);
+        assert!(mail.taken[0].lock.is_held());
+        let last_word = sent.let_go();
+        assert!(!mail.taken[0].lock.is_held());
+        mail.taken[0].answer(&Reply::refuse("too late")).unwrap();
+        assert_eq!(last_word.poll().unwrap(), Some(Reply::refuse("too late")));
+    }
+
+    #[test]
+    fn an_old_command_never_reaches_the_next_daemon() {
+        let folder = folder();
+        let late = Sent::send(folder.path(), "d1", &Command::Arm, given(10.0)).unwrap();
+        let mut inbox = Inbox::open(folder.path(), "d2").unwrap();
+        assert!(inbox.take(9).taken.is_empty(), "cleared at start");
+        let later = Sent::send(folder.path(), "d1", &Command::Abort, given(11.0)).unwrap();
+        let mail = inbox.take(9);
+        assert!(mail.taken.is_empty(), "meant for the daemon before");
+        mail.refused[0].answer().unwrap();
+        assert!(!later.poll().unwrap().unwrap().accepted);
+        assert!(!late.withdraw().unwrap());
+    }
+
+    #[test]
+    fn rubbish_is_removed_and_never_obeyed() {
+        let folder = folder();
+        let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
+        for (name, text) in [
+            ("1.command", "arm"),
+            ("2.command", r#"{"daemon": "d1", "boot_s": 100.0, "command": {"do": "fly"}}"#),
+            ("3.command", r#"{"daemon": "d1", "boot_s": 100.0, "command": {"do": "arm"}, "extra": 1}"#),
+            ("5.command", r#"{"daemon": "d1", "command": {"do": "arm"}}"#),
+            ("6.command", r#"{"daemon": "d1", "boot_s": 1.0, "command": {"do": "approve", "id": "a"}}"#),
+        ] {
+            std::fs::write(folder.path().join(name), text).unwrap();
+        }
+        std::os::unix::fs::symlink("/dev/zero", folder.path().join("4.command")).unwrap();
+        let mail = inbox.take(9);
+        assert!(mail.taken.is_empty() && mail.refused.len() == 6 && mail.fault.is_none(), "{mail:?}");
+        assert!(inbox.folder.names(SUFFIX).unwrap().is_empty());
+    }
+
+    #[test]
+    fn a_command_can_be_taken_back_until_the_daemon_has_it() {
+        let folder = folder();
+        let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
+        let sent = Sent::send(folder.path(), "d1", &Command::Park, given(10.0)).unwrap();
+        assert!(inbox.take(0).taken.is_empty() && sent.lies_there());
+        assert!(sent.withdraw().unwrap());
+        assert!(inbox.take(9).taken.is_empty());
+        let sent = Sent::send(folder.path(), "d1", &Command::Park, given(10.0)).unwrap();
+        assert_eq!(commands(&inbox.take(9)), [&Command::Park]);
+        assert!(!sent.withdraw().unwrap());
+    }
+
+    #[test]
+    fn a_folder_that_is_gone_is_a_fault_and_takes_nothing_back() {
+        let root = folder();
+        let path = root.path().join("commands");
+        let mut inbox = Inbox::open(&path, "d1").unwrap();
+        let _abort = Sent::send(&path, "d1", &Command::Abort, given(10.0)).unwrap();
+        std::fs::rename(&path, root.path().join("aside")).unwrap();
+        let mail = inbox.take(9);
+        assert!(matches!(mail.fault, Some(Unreachable::FolderGone(_))) && mail.taken.is_empty());
+        std::fs::rename(root.path().join("aside"), &path).unwrap();
+        assert_eq!(commands(&inbox.take(9)), [&Command::Abort]);
+    }
+}

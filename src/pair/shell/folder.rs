@@ -1,0 +1,107 @@
+//! A folder of commands without files: what the system would do with each call.
+//!
+//! In: commands that clients leave, and what becomes of the folder (gone, unreadable). Out: the calls by
+//! which the daemon's own intake reads it ([`Folder`]).
+
+use crate::jobs::inbox::Folder;
+use cell_edge::files::FileError;
+use cell_edge::mailbox::Letter;
+use std::cell::{Cell, RefCell};
+use std::collections::BTreeMap;
+use std::io::{Error, ErrorKind};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+/// What has become of the folder.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Fate {
+    /// It is there.
+    #[default]
+    Sound,
+    /// Its name leads nowhere, or to another folder.
+    Gone,
+    /// It can be listed, and no file in it can be opened: no handles are left, say.
+    Unreadable,
+}
+
+/// A file in it.
+#[derive(Debug)]
+struct Left {
+    text: String,
+    /// The sender waits.
+    held: Arc<AtomicBool>,
+}
+
+/// The folder. See the module.
+#[derive(Debug)]
+pub struct Files {
+    path: PathBuf,
+    fate: Cell<Fate>,
+    files: RefCell<BTreeMap<String, Left>>,
+}
+
+impl Default for Files {
+    fn default() -> Files {
+        let (fate, files) = (Cell::default(), RefCell::default());
+        Files { path: PathBuf::from("commands"), fate, files }
+    }
+}
+
+impl Files {
+    /// From now on this is what has become of it.
+    pub fn set_fate(&self, fate: Fate) {
+        self.fate.set(fate);
+    }
+
+    /// What has become of it.
+    pub fn fate(&self) -> Fate {
+        self.fate.get()
+    }
+
+    /// Leaves a file; false if there is no folder to leave it in.
+    pub fn leave(&self, name: String, text: String, held: Arc<AtomicBool>) -> bool {
+        if self.fate.get() == Fate::Gone {
+            return false;
+        }
+        self.files.borrow_mut().insert(name, Left { text, held }).is_none()
+    }
+
+    /// Removes a file; false if it is not there any more.
+    pub fn remove(&self, name: &str) -> bool {
+        self.files.borrow_mut().remove(name).is_some()
+    }
+
+    fn error(&self, action: &'static str, name: &str, kind: ErrorKind) -> FileError {
+        FileError::Io { action, path: self.path.join(name), source: Error::from(kind) }
+    }
+}
+
+impl Folder for Files {
+    type Lock = Arc<AtomicBool>;
+
+    fn path(&self) -> &Path {
+        &self.path
+    }
+
+    fn is_in_place(&self) -> bool {
+        self.fate.get() != Fate::Gone
+    }
+
+    fn names(&self, suffix: &str) -> Result<Vec<String>, FileError> {
+        Ok(self.files.borrow().keys().filter(|name| name.ends_with(suffix)).cloned().collect())
+    }
+
+    fn read(&self, name: &str, _max_bytes: u64) -> Result<Letter<Arc<AtomicBool>>, FileError> {
+        if self.fate.get() == Fate::Unreadable {
+            return Err(self.error("open", name, ErrorKind::PermissionDenied));
+        }
+        let files = self.files.borrow();
+        let left = files.get(name).ok_or_else(|| self.error("open", name, ErrorKind::NotFound))?;
+        Ok(Letter { text: left.text.clone(), uid: 1000, lock: left.held.clone() })
+    }
+
+    fn claim(&self, name: &str) -> Result<bool, FileError> {
+        Ok(self.remove(name))
+    }
+}
