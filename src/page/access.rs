@@ -35,12 +35,24 @@ pub struct Grant {
     pub until_boot_s: f64,
 }
 
-/// A grant with the fingerprint of its secret, hex.
+/// A grant with the fingerprints of its secrets, hex.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Kept {
     sha256: String,
+    /// Of the secret that a browser keeps beside its cookie.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    page_sha256: Option<String>,
     grant: Grant,
+}
+
+/// The two secrets of a browser's session.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Secrets {
+    /// In the cookie, which a browser sends to every port of the computer.
+    pub cookie: String,
+    /// In the storage of the page's own origin, which no other port can read.
+    pub page: String,
 }
 
 /// A person who is signed in.
@@ -63,8 +75,8 @@ struct Ticket {
 /// What comes of a ticket.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Redeemed {
-    /// The secret of the session.
-    Session(String),
+    /// The secrets of the session.
+    Session(Secrets),
     /// It was used, is too old, or never was.
     Void,
     /// It counts for a browser of another user, and still does.
@@ -125,7 +137,10 @@ impl Access {
         let secret = secret()?;
         // Until when the ticket counts is in the grant; what it leads to lasts as long as a session.
         let ticket = Grant { until_boot_s: now_boot_s + TICKET_S, ..grant };
-        push(&mut self.tickets, Ticket { kept: Kept { sha256: fingerprint(&secret), grant: ticket }, user });
+        push(
+            &mut self.tickets,
+            Ticket { kept: Kept { sha256: fingerprint(&secret), page_sha256: None, grant: ticket }, user },
+        );
         Ok(secret)
     }
 
@@ -147,7 +162,17 @@ impl Access {
             return Ok(Redeemed::OfAnotherUser);
         }
         let Grant { name, role, .. } = self.tickets.remove(index).kept.grant;
-        self.grant(Grant { name, role, until_boot_s: now_boot_s + SESSION_S }).map(Redeemed::Session)
+        let grant = Grant { name, role, until_boot_s: now_boot_s + SESSION_S };
+        let (cookie, page) = (secret()?, secret()?);
+        let page_sha256 = Some(fingerprint(&page));
+        push(&mut self.grants, Kept { sha256: fingerprint(&cookie), page_sha256, grant });
+        Ok(Redeemed::Session(Secrets { cookie, page }))
+    }
+
+    /// Whether the session of this cookie comes with the secret of its page.
+    pub fn is_of_page(&self, cookie: &str, page: &str) -> bool {
+        let kept = find(&self.grants, cookie).and_then(|index| self.grants[index].page_sha256.as_ref());
+        kept.is_some_and(|kept| bool::from(kept.as_bytes().ct_eq(fingerprint(page).as_bytes())))
     }
 
     /// A secret that counts until the grant ends.
@@ -156,7 +181,7 @@ impl Access {
     /// The system gives no random numbers.
     pub fn grant(&mut self, grant: Grant) -> Result<String, getrandom::Error> {
         let secret = secret()?;
-        push(&mut self.grants, Kept { sha256: fingerprint(&secret), grant });
+        push(&mut self.grants, Kept { sha256: fingerprint(&secret), page_sha256: None, grant });
         Ok(secret)
     }
 
@@ -247,7 +272,10 @@ mod tests {
         let ticket = access.ticket(anna(0.0), None, NOW).unwrap();
         assert_eq!(access.person(&ticket, NOW), None, "a ticket is no session");
         let redeemed = access.redeem(&ticket, None, NOW + 1.0).unwrap();
-        let Redeemed::Session(session) = redeemed else { panic!("in time: {redeemed:?}") };
+        let Redeemed::Session(secrets) = redeemed else { panic!("in time: {redeemed:?}") };
+        let Secrets { cookie: session, page } = secrets;
+        assert!(access.is_of_page(&session, &page) && !access.is_of_page(&session, &session));
+        assert!(!access.is_of_page(&page, &page) && access.person(&page, NOW + 2.0).is_none());
         assert_eq!(access.redeem(&ticket, None, NOW + 2.0).unwrap(), Redeemed::Void, "once");
         let person = access.person(&session, NOW + 2.0).expect("signed in");
         assert_eq!((person.grant.name.as_str(), person.grant.role), ("anna", Role::Operate));
@@ -282,6 +310,7 @@ mod tests {
     fn a_restart_keeps_grants_and_their_file_has_no_secret() {
         let mut access = Access::of_file("", BOOT, NOW);
         let token = access.grant(anna(NOW + 100.0)).unwrap();
+        assert!(!access.is_of_page(&token, ""), "a token has no page");
         let file = access.file();
         assert!(!file.contains(&token) && file.contains("anna"));
         assert!(Access::of_file(&file, BOOT, NOW).person(&token, NOW).is_some());

@@ -39,11 +39,20 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
                       connect-src 'self'; font-src 'self'; manifest-src 'self'; base-uri 'none'; \
                       form-action 'none'; frame-ancestors 'none'";
 
+/// The header with the secret of the page.
+pub const PAGE_SECRET: &str = "x-celld-page";
+
+/// The answer to whoever has a cookie and not the secret of the page.
+pub const COOKIE_ALONE: &str =
+    "this browser is not signed in completely; `celld open` on the cell's computer signs it in again";
+
 /// How a person came.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Via {
-    /// A browser, with its cookie.
+    /// A browser, with its cookie and the secret of the page.
     Browser,
+    /// Whoever has a browser's cookie and nothing else: it goes to every port of this computer.
+    CookieAlone,
     /// A program, with its token.
     Token,
 }
@@ -224,7 +233,10 @@ pub fn secret(app: &App, headers: &HeaderMap) -> Option<(String, Via)> {
 /// Who sends a request.
 pub fn person(app: &App, headers: &HeaderMap) -> Option<(Person, Via)> {
     let (secret, via) = secret(app, headers)?;
-    Some((app.access().person(&secret, boot_now_s())?, via))
+    let access = app.access();
+    let person = access.person(&secret, boot_now_s())?;
+    let of_page = text(headers.get(PAGE_SECRET)).is_some_and(|page| access.is_of_page(&secret, page));
+    Some((person, if via == Via::Browser && !of_page { Via::CookieAlone } else { via }))
 }
 
 /// Lets people with at least this role through.
@@ -245,6 +257,11 @@ pub async fn with_role(
         let (least, has) = (least.as_str(), person.grant.role.as_str());
         let message = format!("this takes the role {least}; yours is {has}");
         return refuse(&request, StatusCode::FORBIDDEN, &message);
+    }
+    // The handler of orders lets stops through.
+    let may_stop = ["/api/v1/orders", "/api/v1/sign-out"].contains(&request.uri().path());
+    if via == Via::CookieAlone && !reads(request.method()) && !may_stop {
+        return refuse(&request, StatusCode::FORBIDDEN, COOKIE_ALONE);
     }
     request.extensions_mut().insert(person);
     request.extensions_mut().insert(via);

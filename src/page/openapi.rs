@@ -16,8 +16,9 @@ pub fn openapi() -> Value {
         "openapi": "3.1.0",
         "info": {
             "title": "celld", "version": "1",
-            "description": "The API of celld's page. A session comes from `celld open` (a cookie) or `celld open \
-                            --token` (a bearer token). Lengths in m, angles in rad, times in s since 1970.",
+            "description": "The API of celld's page. A session comes from `celld open` (a cookie; whatever does \
+                            more than look or stop also needs the header x-celld-page) or `celld open --token` (a \
+                            bearer token). Lengths in m, angles in rad, times in s since 1970.",
         },
         "paths": paths,
         "components": {

@@ -6,8 +6,8 @@
 
 use crate::jobs::command::Command;
 use crate::jobs::order_queue::OrderedBy;
-use crate::page::access::{Person, Redeemed, SESSION_S};
-use crate::page::guard::{Ends, Peer, Refused, Via, refusal, secret};
+use crate::page::access::{Person, Redeemed, SESSION_S, Secrets};
+use crate::page::guard::{COOKIE_ALONE, Ends, Peer, Refused, Via, refusal, secret};
 use crate::page::shared::{App, Shared};
 use axum::body::Bytes;
 use axum::extract::rejection::{BytesRejection, JsonRejection};
@@ -59,10 +59,11 @@ pub async fn sign_in(
     let user = ends.and_then(|Extension(Ends { far, near })| user_of(far, near));
     let redeemed = app.access().redeem(&ticket, user, boot_now_s());
     match redeemed {
-        Ok(Redeemed::Session(session)) => {
+        Ok(Redeemed::Session(Secrets { cookie: session, page })) => {
             keep_access(&app);
             tracing::info!(%peer, "page: signed in");
-            (cookie(&app, &session, SESSION_S), Json(json!({ "signed_in": true }))).into_response()
+            (cookie(&app, &session, SESSION_S), Json(json!({ "signed_in": true, "page": page })))
+                .into_response()
         }
         Ok(Redeemed::Void) => {
             let why = "this link was used already or is too old; `celld open` gives another one";
@@ -219,6 +220,9 @@ fn may_order(app: &Shared, order: &Order, ordered: &Ordered, giver: &Giver) -> R
     if order.only_stops() {
         return Ok(());
     }
+    if via == Via::CookieAlone {
+        return Err((StatusCode::FORBIDDEN, COOKIE_ALONE.to_string()));
+    }
     if order.needs_sight() && !app.config.moves_from(peer) {
         let why =
             "this order is given where the cell is seen: on its own computer or one of `page.control_from`";
@@ -327,7 +331,12 @@ mod tests {
         ];
         for (order, moves) in orders {
             for (from, sees) in [("192.0.2.9", false), ("192.0.2.7", true), ("127.0.0.1", true)] {
-                for (via, beat) in [(Via::Browser, Some(0)), (Via::Browser, None), (Via::Token, None)] {
+                for (via, beat) in [
+                    (Via::Browser, Some(0)),
+                    (Via::Browser, None),
+                    (Via::CookieAlone, Some(0)),
+                    (Via::Token, None),
+                ] {
                     let ordered = Ordered { command: Command::Abort, beat };
                     let giver = Giver { person: &person, via, peer: from.parse().unwrap() };
                     let status = may_order(&app, &order, &ordered, &giver).map_err(|(status, _)| status);
@@ -336,6 +345,7 @@ mod tests {
                         (false, true, _) => Err(StatusCode::FORBIDDEN),
                         // The state that the browser shows is old.
                         (false, false, Via::Browser) => Err(StatusCode::CONFLICT),
+                        (false, false, Via::CookieAlone) => Err(StatusCode::FORBIDDEN),
                     };
                     assert_eq!(status, expected, "{order:?} from {from} via {via:?}");
                 }

@@ -33,6 +33,8 @@ struct Request<'a> {
     origin: &'a str,
     token: &'a str,
     cookie: &'a str,
+    /// The secret of the page.
+    page: &'a str,
     body: &'a str,
 }
 
@@ -85,6 +87,7 @@ impl Cell {
             ("origin", request.origin),
             ("authorization", &bearer),
             ("cookie", request.cookie),
+            ("x-celld-page", request.page),
         ] {
             if !value.is_empty() {
                 head.push_str(&format!("{name}: {value}\r\n"));
@@ -203,9 +206,21 @@ fn cell_page_slow_requests_end_and_a_link_counts_once() {
     let cookie = cookie.split(';').next().expect("its value");
     let me = Request { method: "GET", path: "/api/v1/me", cookie, ..Request::default() };
     assert_eq!(cell.send(me).json()["role"], "operate");
-    // A browser that is signed in and on another page gives no order: neither with its origin nor without.
+    let page = first.json()["page"].as_str().expect("the secret of the page").to_string();
+    // A cookie goes to every port of the computer: alone it stops, and does nothing else.
     let order = json!({ "command": { "do": "arm" }, "beat": 0 }).to_string();
+    let stop = json!({ "command": { "do": "pause" } }).to_string();
     let ride = Request { method: "POST", path: "/api/v1/orders", cookie, body: &order, ..Request::default() };
+    for other in ["", "0123456789abcdef"] {
+        let alone = Request { origin: &ours, page: other, ..ride };
+        let answer = cell.send(alone);
+        assert!(answer.status == 403 && answer.body.contains("signs it in again"), "{}", answer.body);
+        assert_eq!(cell.send(Request { path: "/api/v1/control", ..alone }).status, 403);
+        let stopped = cell.send(Request { body: &stop, ..alone });
+        assert_eq!((stopped.status, &stopped.json()["accepted"]), (200, &json!(true)), "{}", stopped.body);
+    }
+    let ride = Request { page: &page, ..ride };
+    // A browser that is signed in and on another page gives no order: neither with its origin nor without.
     assert_eq!(cell.send(ride).status, 403);
     assert_eq!(cell.send(Request { origin: "http://evil.example", ..ride }).status, 403);
     // The page's own order with an old state moves nothing.

@@ -1,7 +1,7 @@
 // The frame: signing in, the bar with Stop, which screen is shown.
 
 import { h, fill } from "./dom.js";
-import { api, connect, on, reload, state } from "./net.js";
+import { connect, on, reload, signIn, state } from "./net.js";
 import { here, know, load, t } from "./text.js";
 import { livePage } from "./live.js";
 import { goalPage } from "./goal.js";
@@ -30,7 +30,7 @@ async function redeem() {
   if (!ticket) return null;
   history.replaceState(null, "", location.pathname + "#live");
   try {
-    await api("sign-in", { body: { ticket } });
+    await signIn(ticket);
     return null;
   } catch (error) {
     return error.message;

@@ -17,9 +17,20 @@ export function emit(kind) {
   for (const listener of [...(listeners[kind] ?? [])]) listener();
 }
 
+// A cookie goes to every port of its computer; what is stored here is read by this page's origin alone.
+const SECRET = "celld-page";
+
+/** A session for the ticket of a link. */
+export async function signIn(ticket) {
+  const { page } = await api("sign-in", { body: { ticket } });
+  localStorage.setItem(SECRET, page);
+}
+
 /** A request; throws an Error with what the cell said. */
 export async function api(path, options = {}) {
   const headers = options.body === undefined ? {} : { "content-type": "application/json" };
+  const secret = localStorage.getItem(SECRET);
+  if (secret) headers["x-celld-page"] = secret;
   const body = options.body === undefined ? undefined : JSON.stringify(options.body);
   let answer;
   try {
