@@ -146,11 +146,19 @@ pub struct Replayed {
     pub until: Timestamp,
 }
 
+/// An effect of the replay that the recording has not shown yet.
+struct Pending {
+    /// When the event came that it is of.
+    at: Timestamp,
+    effect: Effect,
+    bytes: Vec<u8>,
+}
+
 /// A run again. See the module.
 #[derive(Default)]
 pub struct Replay {
     machine: Option<Box<Machine>>,
-    pending: VecDeque<(Effect, Vec<u8>)>,
+    pending: VecDeque<Pending>,
     pieces: u64,
     so_far: Replayed,
 }
@@ -197,7 +205,7 @@ impl Replay {
         self.so_far.from.get_or_insert(at);
         self.so_far.until = at;
         if let (Some(before), false) = (&self.machine, after_gap) {
-            if let Some(missing) = self.nothing_pending(at) {
+            if let Some(missing) = self.missing(|_| true) {
                 return Some(missing);
             }
             let same = Piece::machine(at, before, after_gap).is_ok_and(|piece| piece.bytes == bytes);
@@ -221,9 +229,10 @@ impl Replay {
             return Ok(None);
         }
         self.so_far.until = at;
-        // Effects come with time: by the next time, all of the last one were there.
+        // By the next time, all effects of the last one were there; those of events of the same moment come
+        // after it.
         if matches!(event, Event::Time)
-            && let Some(missing) = self.nothing_pending(at)
+            && let Some(missing) = self.missing(|made| made < at)
         {
             return Ok(Some(missing));
         }
@@ -231,23 +240,24 @@ impl Replay {
         machine.handle(at, event);
         while let Some(effect) = machine.poll() {
             let bytes = written(&effect)?;
-            self.pending.push_back((effect, bytes));
+            self.pending.push_back(Pending { at, effect, bytes });
         }
         self.so_far.events += 1;
         Ok(None)
     }
 
-    fn nothing_pending(&self, at: Timestamp) -> Option<Difference> {
-        let (effect, _) = self.pending.front()?;
+    /// The first effect that the recording should have by now.
+    fn missing(&self, is_due: impl Fn(Timestamp) -> bool) -> Option<Difference> {
+        let Pending { at, effect, .. } = self.pending.front().filter(|pending| is_due(pending.at))?;
         let now = Some(format!("{effect:?}"));
-        Some(Difference { at, decision: self.so_far.decisions + 1, then: None, now })
+        Some(Difference { at: *at, decision: self.so_far.decisions + 1, then: None, now })
     }
 
     fn effect(&mut self, bytes: &[u8]) -> Option<Difference> {
         self.machine.as_ref()?;
         self.so_far.decisions += 1;
         let now = self.pending.pop_front();
-        if now.as_ref().is_some_and(|(_, now)| now == bytes) {
+        if now.as_ref().is_some_and(|now| now.bytes == bytes) {
             return None;
         }
         let then = self.read::<Effect>("effect", bytes);
@@ -255,7 +265,7 @@ impl Replay {
             at: self.so_far.until,
             decision: self.so_far.decisions,
             then: Some(then.map_or_else(|error| error.to_string(), |effect| format!("{effect:?}"))),
-            now: now.map(|(effect, _)| format!("{effect:?}")),
+            now: now.map(|now| format!("{:?}", now.effect)),
         })
     }
 }
