@@ -7,9 +7,9 @@
 //! Members of a group count only by what holds for every assignment: they take no part in the cycles, and
 //! the group needs as many moves as it has goals at which there is no member (or members that are in the
 //! way of a goal, if that is more). The feedback vertex set is exact, unless its search is cut short; then
-//! its own lower bound counts. Where the caller ends the work, what was not looked at counts as free, so
-//! the number is true whenever it comes. `buffer_space` proves more where there is no room to put objects
-//! aside.
+//! the lower bound of that search is added. When the caller stops early, the parts not yet computed count
+//! as zero, so the bound holds at any time. `buffer_space` proves more where there is no room to put
+//! objects aside.
 
 use crate::geometry::pose::Pose2;
 use crate::planning::effort::Watch;

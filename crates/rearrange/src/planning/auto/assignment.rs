@@ -112,8 +112,8 @@ impl Groups {
     }
 }
 
-/// What the way between the two arrangements costs where there is room to put aside what has to be; no way
-/// costs less, as long as the set is the cheapest.
+/// Cost of the cheapest plan between the two arrangements if there is room to put every object of the
+/// feedback vertex set aside. No plan costs less if that set is the cheapest one.
 fn promise(
     scene: &Scene,
     costs: &[f64],
