@@ -76,6 +76,8 @@ pub(super) struct Conduct {
     written: BTreeSet<u64>,
     /// Without an answer yet, with the frame in which they were given.
     orders: BTreeMap<u64, (u64, Order)>,
+    /// Frame of the last order, and how many came in it.
+    ordered_last: (u64, u32),
     /// Releases that a person ordered and that are not answered yet, and when the last one was, or was
     /// forgotten with its daemon.
     releases: u32,
@@ -143,6 +145,8 @@ impl Conduct {
     /// An order was given.
     pub fn ordered(&mut self, number: u64, order: &Order) {
         self.orders.insert(number, (self.frame, order.clone()));
+        let (last, count) = self.ordered_last;
+        self.ordered_last = (self.frame, if last == self.frame { count + 1 } else { 1 });
         self.releases += u32::from(matches!(order, Order::Release(_) | Order::Recover(WayBack::Release)));
         self.way_chosen |= matches!(order, Order::Recover(way) if *way != WayBack::Show);
     }
@@ -311,7 +315,7 @@ impl Conduct {
 
     fn check_reply(&mut self, number: u64, reply: &Reply, machine: &Machine) {
         let accepted = reply.accepted;
-        let Some((_, order)) = self.orders.remove(&number) else {
+        let Some((at, order)) = self.orders.remove(&number) else {
             return self.breach(Rule::AnswerWithoutOrder, format!("order {number}"));
         };
         let Some(mode) = machine.supervisor().map(|supervisor| supervisor.mode()) else { return };
@@ -325,7 +329,9 @@ impl Conduct {
         let stands = !reply.message.starts_with("stopped") || !self.moved;
         let fine = match order {
             // A way back arms the cell for itself alone.
-            Order::Arm => accepted == mode.armed() || (!accepted && self.recovers(mode, machine)),
+            Order::Arm => {
+                accepted == mode.armed() || !accepted && (armed_before || self.recovers(mode, machine))
+            }
             Order::Disarm => {
                 // Plainly disarmed: no pick-n-place is finished first.
                 self.picking &= reply.message != "disarmed";
@@ -348,9 +354,16 @@ impl Conduct {
             Order::Calibrate => !accepted || mode.armed(),
             Order::Approve { .. } | Order::Reject(_) | Order::Cancel(_) | Order::ConfirmGripper => true,
         };
-        if !fine {
+        if !fine && !self.superseded(at) {
             self.breach(Rule::AnswerNotTrue, format!("{order:?}: {reply:?}, {mode:?}"));
         }
+    }
+
+    /// Another order has come since the frame in which this one did, or in the same one: the answer to the
+    /// first no longer says how the cell is.
+    fn superseded(&self, at: u64) -> bool {
+        let (last, count) = self.ordered_last;
+        last > at || count > 1
     }
 
     /// The machine is on a way back, or has come to its end.
