@@ -169,10 +169,11 @@ impl Access {
         Ok(Redeemed::Session(Secrets { cookie, page }))
     }
 
-    /// Whether the session of this cookie comes with the secret of its page.
-    pub fn is_of_page(&self, cookie: &str, page: &str) -> bool {
-        let kept = find(&self.grants, cookie).and_then(|index| self.grants[index].page_sha256.as_ref());
-        kept.is_some_and(|kept| bool::from(kept.as_bytes().ct_eq(fingerprint(page).as_bytes())))
+    /// Whether a browser's session comes with the secret of its page; `None`: it is no browser's, but a
+    /// program's token.
+    pub fn is_of_page(&self, secret: &str, page: &str) -> Option<bool> {
+        let kept = self.grants[find(&self.grants, secret)?].page_sha256.as_ref()?;
+        Some(bool::from(kept.as_bytes().ct_eq(fingerprint(page).as_bytes())))
     }
 
     /// A secret that counts until the grant ends.
@@ -274,8 +275,9 @@ mod tests {
         let redeemed = access.redeem(&ticket, None, NOW + 1.0).unwrap();
         let Redeemed::Session(secrets) = redeemed else { panic!("in time: {redeemed:?}") };
         let Secrets { cookie: session, page } = secrets;
-        assert!(access.is_of_page(&session, &page) && !access.is_of_page(&session, &session));
-        assert!(!access.is_of_page(&page, &page) && access.person(&page, NOW + 2.0).is_none());
+        assert_eq!(access.is_of_page(&session, &page), Some(true));
+        assert_eq!(access.is_of_page(&session, &session), Some(false));
+        assert!(access.is_of_page(&page, &page).is_none() && access.person(&page, NOW + 2.0).is_none());
         assert_eq!(access.redeem(&ticket, None, NOW + 2.0).unwrap(), Redeemed::Void, "once");
         let person = access.person(&session, NOW + 2.0).expect("signed in");
         assert_eq!((person.grant.name.as_str(), person.grant.role), ("anna", Role::Operate));
@@ -310,7 +312,7 @@ mod tests {
     fn a_restart_keeps_grants_and_their_file_has_no_secret() {
         let mut access = Access::of_file("", BOOT, NOW);
         let token = access.grant(anna(NOW + 100.0)).unwrap();
-        assert!(!access.is_of_page(&token, ""), "a token has no page");
+        assert_eq!(access.is_of_page(&token, ""), None, "a token has no page");
         let file = access.file();
         assert!(!file.contains(&token) && file.contains("anna"));
         assert!(Access::of_file(&file, BOOT, NOW).person(&token, NOW).is_some());

@@ -235,8 +235,14 @@ pub fn person(app: &App, headers: &HeaderMap) -> Option<(Person, Via)> {
     let (secret, via) = secret(app, headers)?;
     let access = app.access();
     let person = access.person(&secret, boot_now_s())?;
-    let of_page = text(headers.get(PAGE_SECRET)).is_some_and(|page| access.is_of_page(&secret, page));
-    Some((person, if via == Via::Browser && !of_page { Via::CookieAlone } else { via }))
+    let page = text(headers.get(PAGE_SECRET)).unwrap_or_default();
+    // A browser's secret is no token, whatever header it comes in; a token in a cookie is no secret.
+    let via = match access.is_of_page(&secret, page) {
+        Some(true) => Via::Browser,
+        None if via == Via::Token => Via::Token,
+        Some(false) | None => Via::CookieAlone,
+    };
+    Some((person, via))
 }
 
 /// Lets people with at least this role through.
@@ -259,7 +265,7 @@ pub async fn with_role(
         return refuse(&request, StatusCode::FORBIDDEN, &message);
     }
     // The handler of orders lets stops through.
-    let may_stop = ["/api/v1/orders", "/api/v1/sign-out"].contains(&request.uri().path());
+    let may_stop = request.uri().path() == "/api/v1/orders";
     if via == Via::CookieAlone && !reads(request.method()) && !may_stop {
         return refuse(&request, StatusCode::FORBIDDEN, COOKIE_ALONE);
     }

@@ -216,6 +216,10 @@ fn cell_page_slow_requests_end_and_a_link_counts_once() {
         let answer = cell.send(alone);
         assert!(answer.status == 403 && answer.body.contains("signs it in again"), "{}", answer.body);
         assert_eq!(cell.send(Request { path: "/api/v1/control", ..alone }).status, 403);
+        // Nor is it a program's token.
+        let token = cookie.split_once('=').expect("a value").1;
+        let as_token = Request { cookie: "", token, ..alone };
+        assert_eq!(cell.send(as_token).status, 403);
         let stopped = cell.send(Request { body: &stop, ..alone });
         assert_eq!((stopped.status, &stopped.json()["accepted"]), (200, &json!(true)), "{}", stopped.body);
     }
