@@ -308,6 +308,8 @@ fn spawn_modbus(
             let made = |socket| *work.socket() = socket;
             let exchange = exchange(&mut connection, (gripper, Slave(gripper_unit)), request, &made);
             let answer = tokio::select! {
+                // An answer that is there counts, however late this task is.
+                biased;
                 answer = exchange => answer,
                 () = passed(&clock, ANSWER_WITHIN) => Err(ModbusFailure::Timeout),
             };

@@ -21,6 +21,9 @@ const MESSAGE: usize = 8;
 /// Daemons that may follow one simulator.
 const MOST_FOLLOWERS: usize = 8;
 
+/// Reads of a connection at a time: what is sent faster than it can be read ends the channel.
+const READS: usize = 64;
+
 /// How often a simulator that holds its time says so, wall time.
 const REPEAT: Duration = Duration::from_millis(20);
 
@@ -55,7 +58,7 @@ impl Line {
     /// The latest time that has arrived, if any has.
     fn latest(&mut self) -> Result<Option<Duration>, Gone> {
         let (mut latest, mut buffer) = (None, [0; 64 * MESSAGE]);
-        loop {
+        for _ in 0..READS {
             match self.stream.read(&mut buffer) {
                 Ok(0) => return Err(Gone),
                 Ok(count) => self.rest.extend_from_slice(buffer.get(..count).unwrap_or_default()),
@@ -68,6 +71,7 @@ impl Line {
                 messages.last().map(|bytes| Duration::from_micros(u64::from_le_bytes(*bytes))).or(latest);
             self.rest = rest.to_vec();
         }
+        Err(Gone)
     }
 
     /// Sends a time; false if there is no room for it.
@@ -91,7 +95,7 @@ impl Follower {
     fn hear(&mut self, simulated: Duration) -> Result<(), Gone> {
         if let Some(taken_in) = self.line.latest()? {
             // What was not sent yet cannot have been taken in.
-            self.progress.taken_in(taken_in.min(simulated));
+            return self.progress.taken_in(taken_in.min(simulated)).then_some(()).ok_or(Gone);
         }
         Ok(())
     }
@@ -121,13 +125,20 @@ impl ClockServer {
     /// Simulated time has come so far: says so, and takes in what has been reported.
     pub fn reached(&mut self, simulated: Duration, now: Instant) {
         self.simulated = simulated;
+        self.accept();
+        self.send_time(now);
+    }
+
+    /// Takes in who has connected; each finds the time that it is.
+    fn accept(&mut self) {
         while let Ok((stream, _)) = self.listener.accept() {
-            if self.followers.len() < MOST_FOLLOWERS && stream.set_nonblocking(true).is_ok() {
+            let fits = self.followers.len() < MOST_FOLLOWERS && is_of_us(&stream);
+            if fits && stream.set_nonblocking(true).is_ok() {
                 let line = Line::new(stream);
+                let _ = line.send(self.simulated);
                 self.followers.push(Follower { line, progress: Progress::default() });
             }
         }
-        self.send_time(now);
     }
 
     fn send_time(&mut self, now: Instant) {
@@ -148,6 +159,7 @@ impl ClockServer {
     /// too long is dropped: it finds the channel closed instead of times of long ago.
     pub fn holds(&mut self, now: Instant) -> bool {
         let simulated = self.simulated;
+        self.accept();
         self.followers.retain_mut(|follower| follower.hear(simulated).is_ok());
         if now.saturating_duration_since(self.sent) >= REPEAT {
             self.send_time(now);
@@ -255,7 +267,16 @@ fn connect(rtde: SocketAddr) -> rustix::io::Result<UnixStream> {
     let flags = SocketFlags::CLOEXEC | SocketFlags::NONBLOCK;
     let socket = rustix::net::socket_with(AddressFamily::UNIX, SocketType::STREAM, flags, None)?;
     rustix::net::connect(&socket, &SocketAddrUnix::new_abstract_name(name(rtde).as_bytes())?)?;
-    Ok(UnixStream::from(socket))
+    let stream = UnixStream::from(socket);
+    if is_of_us(&stream) { Ok(stream) } else { Err(rustix::io::Errno::PERM) }
+}
+
+/// The other end is a process of this user or of root, or this one is root's: names in the abstract
+/// namespace have no owner.
+fn is_of_us(stream: &UnixStream) -> bool {
+    let own = rustix::process::geteuid();
+    rustix::net::sockopt::socket_peercred(stream)
+        .is_ok_and(|peer| peer.uid == own || peer.uid.is_root() || own.is_root())
 }
 
 #[cfg(test)]

@@ -15,6 +15,9 @@ pub const LEAD: Duration = Duration::from_millis(40);
 /// deadline still comes. Beside a load of 30 a thread may get no processor for a second.
 pub const PATIENCE: Duration = Duration::from_secs(5);
 
+/// Seconds of a simulator's time in a second of the wall's, at most.
+const FASTEST: u32 = 1000;
+
 /// A wait that ends with its patience, and does not begin again before its reason has ended once.
 #[derive(Debug)]
 pub struct Wait {
@@ -55,10 +58,16 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// The follower has taken in everything that was sent before this simulated time.
-    pub fn taken_in(&mut self, simulated: Duration) {
+    /// The follower has taken in everything that was sent before this simulated time; false if that is
+    /// before what it reported last. Only a report that goes on is a sign of life.
+    pub fn taken_in(&mut self, simulated: Duration) -> bool {
+        match self.taken_in {
+            Some(before) if simulated < before => return false,
+            Some(before) if simulated == before => {}
+            Some(_) | None => self.wait = Wait::default(),
+        }
         self.taken_in = Some(simulated);
-        self.wait = Wait::default();
+        true
     }
 
     /// Whether the simulator holds its time for this follower: not before its first report; `None` once it
@@ -105,13 +114,17 @@ impl FollowerTime {
         }
     }
 
-    /// The simulator's time is `simulated`; false if that is before what it said last.
+    /// The simulator's time is `simulated`; false if that is before what it said last, or further ahead
+    /// than any simulator runs.
     pub fn received(&mut self, simulated: Duration, now: Instant) -> bool {
         let shown = match self.course {
-            Course::Led { shown, simulated: before, .. } => match simulated.checked_sub(before) {
-                Some(passed) => shown + passed,
-                None => return false,
-            },
+            Course::Led { shown, simulated: before, at } => {
+                let most = (now.saturating_duration_since(at) + PATIENCE) * FASTEST;
+                match simulated.checked_sub(before).filter(|passed| *passed <= most) {
+                    Some(passed) => shown + passed,
+                    None => return false,
+                }
+            }
             Course::Free { .. } => self.at(now),
         };
         self.course = Course::Led { shown, simulated, at: now };
@@ -142,26 +155,38 @@ mod tests {
     fn the_simulator_waits_for_a_follower_that_has_reported_and_is_behind() {
         let (mut progress, start) = (Progress::default(), Instant::now());
         assert_eq!(progress.holds(3000 * MS, start), Some(false), "nobody has reported yet");
-        progress.taken_in(2900 * MS);
+        assert!(progress.taken_in(2900 * MS));
         assert_eq!(progress.holds(3000 * MS, start), Some(true), "100 ms are too many");
-        progress.taken_in(2980 * MS);
+        assert!(progress.taken_in(2980 * MS));
         assert_eq!(progress.holds(3000 * MS, start), Some(false));
     }
 
     #[test]
     fn a_follower_that_reports_nothing_is_given_up() {
         let (mut progress, start) = (Progress::default(), Instant::now());
-        progress.taken_in(1000 * MS);
+        assert!(progress.taken_in(1000 * MS));
         assert_eq!(progress.holds(2000 * MS, start), Some(true));
         assert_eq!(progress.holds(2000 * MS, start + PATIENCE - MS), Some(true));
         assert_eq!(progress.holds(2000 * MS, start + PATIENCE), None);
     }
 
     #[test]
+    fn a_follower_that_repeats_itself_is_given_up_and_one_that_goes_back_is_not_heard() {
+        let (mut progress, start) = (Progress::default(), Instant::now());
+        assert!(progress.taken_in(1000 * MS));
+        for second in 0..5 {
+            assert!(progress.taken_in(1000 * MS));
+            assert_eq!(progress.holds(2000 * MS, start + second * 1000 * MS), Some(true));
+        }
+        assert_eq!(progress.holds(2000 * MS, start + PATIENCE), None);
+        assert!(!progress.taken_in(999 * MS));
+    }
+
+    #[test]
     fn a_follower_that_reports_late_again_and_again_is_waited_for() {
         let (mut progress, start) = (Progress::default(), Instant::now());
         for second in 0..20 {
-            progress.taken_in(1000 * second * MS);
+            assert!(progress.taken_in(1000 * second * MS));
             assert_eq!(progress.holds(1000 * (second + 1) * MS, start + 1000 * second * MS), Some(true));
         }
     }
@@ -218,5 +243,7 @@ mod tests {
         let mut time = FollowerTime::new(1.0, start);
         assert!(time.received(1000 * MS, start) && time.received(1000 * MS, start));
         assert!(!time.received(999 * MS, start));
+        assert!(!time.received(Duration::MAX, start), "nor one whose time jumps");
+        assert!(time.received(2000 * MS, start));
     }
 }

@@ -2,9 +2,9 @@
 //!
 //! In: a call that opens something. Out: its result; where the process or the system has no handle left, one
 //! from the reserve is given up and the call is tried again. Who takes orders fills the reserve again, and
-//! who accepts connections keeps none while it is not full: otherwise the next connection would take each
-//! handle that comes free. The reserve is opened at the start, so its numbers stay below a limit that is
-//! lowered later.
+//! who accepts connections keeps none while it is not half full: otherwise the next connection would take
+//! each handle that comes free. The reserve is opened at the start, so its numbers stay below a limit that
+//! is lowered later.
 
 use rustix::process::{Resource, getrlimit, setrlimit};
 use std::fs::File;
@@ -34,12 +34,12 @@ pub fn raise_limit() {
     }
 }
 
-/// Fills the reserve as far as handles are left; false if they do not suffice. Without a call of this there
-/// is no reserve.
+/// Fills the reserve as far as handles are left; false if it is not even half full then. Without a call of
+/// this there is no reserve.
 pub fn fill() -> bool {
     let mut reserve = reserve();
     while reserve.len() < SPARE {
-        let Ok(file) = File::open("/dev/null") else { return false };
+        let Ok(file) = File::open("/dev/null") else { return reserve.len() >= SPARE / 2 };
         reserve.push(file);
     }
     true

@@ -3,7 +3,7 @@
 //! In: the configuration. Out: [`RobotFacts`]. Each link has some seconds; they are looked at side by side.
 
 use crate::config::cell::CellConfig;
-use crate::config::sessions::RTDE_HZ;
+use crate::config::sessions::{RTDE_HZ, clock};
 use crate::doctor::robot::{DashboardFacts, LinkFault, PrimaryFacts, RobotFacts, RtdeFacts};
 use cell_edge::clock::Clock;
 use cell_machine::device::dashboard_session::{DashboardEvent, DashboardSession};
@@ -28,7 +28,10 @@ const READ_WITHIN: Duration = Duration::from_millis(20);
 /// Looks at the controller of the configuration; `daemon`: a celld runs already.
 pub fn facts(config: &CellConfig, daemon: bool) -> RobotFacts {
     let host = config.devices.robot_host.as_str();
-    let clock = Clock::new(config.simulation.map_or(1.0, |simulation| simulation.clock_factor));
+    let clock = match format!("{host}:30004").parse() {
+        Ok(rtde) => clock(config.simulation, rtde),
+        Err(_) => Clock::new(config.simulation.map_or(1.0, |simulation| simulation.clock_factor)),
+    };
     std::thread::scope(|scope| {
         let dashboard = scope.spawn(|| dashboard(host, &clock));
         let primary = scope.spawn(|| primary(host, &clock));
