@@ -21,7 +21,7 @@ pub(super) const MAX_BYTES: u64 = 64 * 1024;
 pub(super) const SUFFIX: &str = ".command";
 
 /// What names the file of a stop besides, so that it is looked into first.
-pub(super) const STOP_MARK: &str = "-stop";
+pub const STOP_MARK: &str = "-stop";
 
 /// When an order was given.
 #[derive(Clone, Copy, Debug, PartialEq)]

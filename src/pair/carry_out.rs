@@ -1,8 +1,10 @@
-//! What becomes of the machine's effects, and what the person does who approves plans.
+//! What becomes of the machine's effects, what the shell around it hands over, and what the person does who
+//! approves plans.
 //!
-//! In: an effect. Out: calls of network, disk and camera, answers that come after a seeded time, values for
-//! people.
+//! In: an effect. Out: calls of network, disk and camera, orders, answers that come after a seeded time,
+//! values for people.
 
+use crate::pair::rules::ShellNow;
 use crate::pair::{Later, Pair};
 use cell_machine::event::{Effect, Event, News};
 use cell_machine::planner::answer;
@@ -82,6 +84,32 @@ impl Pair {
             News::Status(status) => self.status = Some(*status),
             News::Route(_) | News::Ended(_) => {}
         }
+    }
+
+    /// What people and the shell do in this frame; false while celld's process stands still.
+    pub(super) fn take_orders(&mut self, events: &mut Vec<Event>) -> bool {
+        let (frame, mut happened) = (self.frame, Vec::new());
+        self.shell.people(frame, &mut happened);
+        let runs = !self.shell.is_stopped(frame);
+        if runs && self.ended.is_none() {
+            let handed = self.shell.step(frame);
+            happened.extend(handed.happened);
+            // What the shell knows comes first, as in a turn of the daemon's loop.
+            for event in &handed.events {
+                if let Event::Order(number, order, _) = event {
+                    self.trace.line(frame, || format!("order {number} {order:?} through the shell"));
+                    self.rules.ordered(*number, order);
+                }
+            }
+            events.splice(0..0, handed.events);
+        }
+        for one in &happened {
+            self.rules.on_the_way(frame, one, self.shell.clients());
+        }
+        let (runs_on, folder, cut_off) =
+            (runs && self.ended.is_none(), self.shell.folder(), self.shell.is_cut_off());
+        self.rules.shell(ShellNow { runs: runs_on, folder, cut_off });
+        runs
     }
 
     /// What the person does who approves plans.

@@ -445,30 +445,6 @@ impl Pair {
         passed
     }
 
-    /// What people and the shell do in this frame; false while celld's process stands still.
-    fn take_orders(&mut self, events: &mut Vec<Event>) -> bool {
-        let (frame, mut happened) = (self.frame, Vec::new());
-        self.shell.people(frame, &mut happened);
-        let runs = !self.shell.is_stopped(frame);
-        if runs && self.ended.is_none() {
-            let handed = self.shell.step(frame);
-            happened.extend(handed.happened);
-            // What the shell knows comes first, as in a turn of the daemon's loop.
-            for event in &handed.events {
-                if let Event::Order(number, order, _) = event {
-                    self.trace.line(frame, || format!("order {number} {order:?} through the shell"));
-                    self.rules.ordered(*number, order);
-                }
-            }
-            events.splice(0..0, handed.events);
-        }
-        for one in &happened {
-            self.rules.on_the_way(frame, one, self.shell.clients());
-        }
-        self.rules.shell(runs && self.ended.is_none(), self.shell.folder());
-        runs
-    }
-
     fn take_commits(&mut self, events: &mut Vec<Event>) {
         while let Some((number, result)) = self.disk.step(self.frame) {
             if let Ok(record) = &result {

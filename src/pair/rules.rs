@@ -30,6 +30,7 @@ use crate::pair::rules::conduct::{Conduct, is_grip};
 use crate::pair::rules::found::Found;
 use crate::pair::rules::holding::Holding;
 use crate::pair::rules::intake::Intake;
+pub use crate::pair::rules::intake::ShellNow;
 use crate::pair::rules::limits::Limits;
 use crate::pair::rules::truth::Truth;
 use crate::pair::rules::waits::Waits;
@@ -68,8 +69,7 @@ pub struct Rules {
     holding: Holding,
     intake: Intake,
     waits: Waits,
-    /// Celld's process runs; the folder of commands.
-    shell: (bool, Fate),
+    shell: ShellNow,
 }
 
 impl Rules {
@@ -89,7 +89,7 @@ impl Rules {
             holding: Holding::default(),
             intake: Intake::default(),
             waits: Waits::new(model.tolerances.retries),
-            shell: (true, Fate::Sound),
+            shell: ShellNow { runs: true, folder: Fate::Sound, cut_off: false },
         }
     }
 
@@ -135,10 +135,10 @@ impl Rules {
         self.intake.happened(frame, happened, clients);
     }
 
-    /// The shell at the end of a frame: whether its process runs, and the folder of commands.
-    pub fn shell(&mut self, runs: bool, folder: Fate) {
-        self.shell = (runs, folder);
-        if !runs {
+    /// The shell at the end of a frame.
+    pub fn shell(&mut self, shell: ShellNow) {
+        self.shell = shell;
+        if !shell.runs {
             self.conduct.stands_still();
         }
     }
@@ -257,7 +257,7 @@ impl Rules {
         self.conduct.frame(&truth, machine, simulator);
         self.limits.frame(&truth, &mut self.found);
         self.arming.frame(&truth, &mut self.found);
-        self.intake.frame(&truth, self.shell.0, self.shell.1, &mut self.found);
+        self.intake.frame(&truth, self.shell, &mut self.found);
         let world = lock(&simulator.core().world);
         self.calibration.frame(&truth, &world);
         self.waits.frame(&truth, &world, &mut self.found);

@@ -139,6 +139,15 @@ impl Shell {
         self.inbox.folder().fate()
     }
 
+    /// The folder is gone, or an order lies in it that cannot be read.
+    pub fn is_cut_off(&self) -> bool {
+        match self.folder() {
+            Fate::Sound => false,
+            Fate::Gone => true,
+            Fate::Unreadable => self.inbox.folder().has_orders_to_read(),
+        }
+    }
+
     /// The process is stopped at this frame, for so many frames.
     pub fn stop(&mut self, frame: u64, frames: u64) {
         let (since, until) = self.stopped.unwrap_or((frame, frame));

@@ -76,8 +76,8 @@ pub(super) struct Conduct {
     written: BTreeSet<u64>,
     /// Without an answer yet, with the frame in which they were given.
     orders: BTreeMap<u64, (u64, Order)>,
-    /// Frame of the last order, and how many came in it.
-    ordered_last: (u64, u32),
+    /// Of these, those after which another order has changed what their answer speaks of.
+    superseded: BTreeSet<u64>,
     /// Releases that a person ordered and that are not answered yet, and when the last one was, or was
     /// forgotten with its daemon.
     releases: u32,
@@ -112,6 +112,23 @@ pub(super) struct Conduct {
     lost: Option<(u64, Link)>,
 }
 
+/// Whether the cell may be armed or paused otherwise after this order.
+fn changes_leave(order: &Order) -> bool {
+    match order {
+        Order::Arm
+        | Order::Disarm
+        | Order::Pause
+        | Order::Resume
+        | Order::Step
+        | Order::Abort
+        | Order::Park
+        | Order::Release(_)
+        | Order::Calibrate => true,
+        Order::Recover(way) => *way != WayBack::Show,
+        Order::Approve { .. } | Order::Reject(_) | Order::Cancel(_) | Order::ConfirmGripper => false,
+    }
+}
+
 impl Conduct {
     fn breach(&mut self, rule: Rule, detail: String) {
         self.found.push(rule, detail);
@@ -144,9 +161,10 @@ impl Conduct {
 
     /// An order was given.
     pub fn ordered(&mut self, number: u64, order: &Order) {
+        if changes_leave(order) {
+            self.superseded.extend(self.orders.keys());
+        }
         self.orders.insert(number, (self.frame, order.clone()));
-        let (last, count) = self.ordered_last;
-        self.ordered_last = (self.frame, if last == self.frame { count + 1 } else { 1 });
         self.releases += u32::from(matches!(order, Order::Release(_) | Order::Recover(WayBack::Release)));
         self.way_chosen |= matches!(order, Order::Recover(way) if *way != WayBack::Show);
     }
@@ -315,7 +333,8 @@ impl Conduct {
 
     fn check_reply(&mut self, number: u64, reply: &Reply, machine: &Machine) {
         let accepted = reply.accepted;
-        let Some((at, order)) = self.orders.remove(&number) else {
+        let superseded = self.superseded.remove(&number);
+        let Some((_, order)) = self.orders.remove(&number) else {
             return self.breach(Rule::AnswerWithoutOrder, format!("order {number}"));
         };
         let Some(mode) = machine.supervisor().map(|supervisor| supervisor.mode()) else { return };
@@ -354,16 +373,9 @@ impl Conduct {
             Order::Calibrate => !accepted || mode.armed(),
             Order::Approve { .. } | Order::Reject(_) | Order::Cancel(_) | Order::ConfirmGripper => true,
         };
-        if !fine && !self.superseded(at) {
+        if !fine && !superseded {
             self.breach(Rule::AnswerNotTrue, format!("{order:?}: {reply:?}, {mode:?}"));
         }
-    }
-
-    /// Another order has come since the frame in which this one did, or in the same one: the answer to the
-    /// first no longer says how the cell is.
-    fn superseded(&self, at: u64) -> bool {
-        let (last, count) = self.ordered_last;
-        last > at || count > 1
     }
 
     /// The machine is on a way back, or has come to its end.

@@ -36,6 +36,17 @@ pub(super) struct Intake {
     held_up: Option<u64>,
 }
 
+/// The shell at the end of a frame.
+#[derive(Clone, Copy, Debug)]
+pub struct ShellNow {
+    /// celld's process runs.
+    pub runs: bool,
+    /// The folder of commands.
+    pub folder: Fate,
+    /// It is gone, or an order lies in it that cannot be read.
+    pub cut_off: bool,
+}
+
 /// An order that only stops, on its way.
 #[derive(Debug)]
 struct Stop {
@@ -81,8 +92,9 @@ impl Intake {
         *self = Intake::default();
     }
 
-    /// One controller frame; `runs`: the process does.
-    pub fn frame(&mut self, truth: &Truth, runs: bool, folder: Fate, found: &mut Found) {
+    /// One controller frame;
+    pub fn frame(&mut self, truth: &Truth, shell: ShellNow, found: &mut Found) {
+        let ShellNow { runs, folder, cut_off } = shell;
         for stop in self.stops.values_mut() {
             // It counts from when orders can be taken again.
             if !runs || stop.by_file && folder != Fate::Sound {
@@ -95,13 +107,13 @@ impl Intake {
         {
             found.push(Rule::StopLate, format!("{order:?} on its way to the machine"));
         }
-        let cut_off = runs && folder == Fate::Gone;
+        let cut_off = runs && cut_off;
         self.cut_off = if cut_off { self.cut_off.or(Some(truth.frame)) } else { None };
         let allowed = (REACH_WITHIN.as_secs_f64() * FRAMES_PER_S) as u64 + DISARMED_FRAMES;
-        if self.cut_off.is_some_and(|since| truth.frame == since + allowed) && truth.armed() {
+        if self.cut_off.is_some_and(|since| truth.frame >= since + allowed) && truth.armed() {
             found.push(Rule::ArmedCutOff, "");
         }
-        if self.held_up.is_some_and(|at| truth.frame == at + DISARMED_FRAMES) && truth.armed() {
+        if truth.armed() && self.held_up.take_if(|at| truth.frame >= *at + DISARMED_FRAMES).is_some() {
             found.push(Rule::ArmedAfterHoldUp, "");
         }
     }

@@ -3,6 +3,7 @@
 //! In: commands that clients leave, and what becomes of the folder (gone, unreadable). Out: the calls by
 //! which the daemon's own intake reads it ([`Folder`]).
 
+use crate::jobs::command::STOP_MARK;
 use crate::jobs::inbox::Folder;
 use cell_edge::files::FileError;
 use cell_edge::mailbox::Letter;
@@ -70,6 +71,11 @@ impl Files {
     /// Removes a file; false if it is not there any more.
     pub fn remove(&self, name: &str) -> bool {
         self.files.borrow_mut().remove(name).is_some()
+    }
+
+    /// An order lies there that is taken once it can be read; a stop lies there until it is answered.
+    pub fn has_orders_to_read(&self) -> bool {
+        self.files.borrow().keys().any(|name| !name.contains(STOP_MARK))
     }
 
     fn error(&self, action: &'static str, name: &str, kind: ErrorKind) -> FileError {
