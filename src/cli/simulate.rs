@@ -7,9 +7,8 @@
 mod args;
 mod cuts;
 mod endurance;
-mod hands;
 mod orders;
-mod shell;
+mod seeds;
 mod storms;
 
 use crate::pair::camera_view::SightKind;
@@ -44,9 +43,9 @@ pub fn run(args: &SimulateArgs) -> u8 {
     match args.faults.as_deref().and_then(Path::to_str) {
         Some("sweep") => return sweep(args),
         Some("random") => return storms::run(args),
-        Some("hands") => return hands::run(args),
+        Some("hands") => return seeds::with_hands(args),
         Some("cuts") => return cuts::run(args),
-        Some("shell") => return shell::run(args),
+        Some("shell") => return seeds::with_shell(args),
         _ => {}
     }
     let faults = args.faults.as_deref().map_or(Ok(Vec::new()), faults_of);

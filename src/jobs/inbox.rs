@@ -158,7 +158,8 @@ pub struct Inbox<F = Mailbox> {
 }
 
 impl Inbox {
-    /// Opens the folder for the daemon called `daemon` (a name no other run has) and clears what was left.
+    /// Opens the folder and removes every file in it. `daemon` is the name of this run, which no other run
+    /// has.
     ///
     /// # Errors
     /// The folder cannot be created or listed, or a file in it cannot be removed.

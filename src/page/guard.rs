@@ -42,7 +42,7 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
 /// The header with the secret of the page.
 pub const PAGE_SECRET: &str = "x-celld-page";
 
-/// The answer to whoever has a cookie and not the secret of the page.
+/// The refusal of a request that has the cookie but not the secret of the page.
 pub const COOKIE_ALONE: &str =
     "this browser is not signed in completely; `celld open` on the cell's computer signs it in again";
 
@@ -51,7 +51,8 @@ pub const COOKIE_ALONE: &str =
 pub enum Via {
     /// A browser, with its cookie and the secret of the page.
     Browser,
-    /// Whoever has a browser's cookie and nothing else: it goes to every port of this computer.
+    /// A browser's cookie without the secret of the page. Browsers send cookies to every port of a computer,
+    /// so another program there may have it.
     CookieAlone,
     /// A program, with its token.
     Token,

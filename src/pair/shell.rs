@@ -88,7 +88,7 @@ pub struct Shell {
     stopped: Option<(u64, u64)>,
     /// The calendar is off by so much, s.
     calendar_off_s: f64,
-    /// The processes of people are numbered.
+    /// How many files clients have left; each name has its number.
     files: u32,
 }
 

@@ -60,7 +60,7 @@ fn disturbance(rng: &mut impl Rng) -> Disturbance {
     }
 }
 
-/// An order of a person. Channel B alone is released: on both, what is held would fall, as ordered.
+/// A random order. A release is of channel B only, because releasing both would drop the held object.
 fn command(rng: &mut impl Rng, job: &str) -> Command {
     match rng.random_range(0..10) {
         0..=2 => Command::Arm,

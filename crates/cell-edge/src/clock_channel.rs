@@ -94,7 +94,7 @@ struct Follower {
 impl Follower {
     fn hear(&mut self, simulated: Duration) -> Result<(), Gone> {
         if let Some(taken_in) = self.line.latest()? {
-            // What was not sent yet cannot have been taken in.
+            // A follower cannot have received a time that was not sent yet.
             return self.progress.taken_in(taken_in.min(simulated)).then_some(()).ok_or(Gone);
         }
         Ok(())

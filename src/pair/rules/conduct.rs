@@ -112,21 +112,9 @@ pub(super) struct Conduct {
     lost: Option<(u64, Link)>,
 }
 
-/// Whether the cell may be armed or paused otherwise after this order.
+/// The order may change whether the cell is armed or paused.
 fn changes_leave(order: &Order) -> bool {
-    match order {
-        Order::Arm
-        | Order::Disarm
-        | Order::Pause
-        | Order::Resume
-        | Order::Step
-        | Order::Abort
-        | Order::Park
-        | Order::Release(_)
-        | Order::Calibrate => true,
-        Order::Recover(way) => *way != WayBack::Show,
-        Order::Approve { .. } | Order::Reject(_) | Order::Cancel(_) | Order::ConfirmGripper => false,
-    }
+    order.only_stops() || order.needs_sight() && *order != Order::ConfirmGripper
 }
 
 impl Conduct {
