@@ -7,16 +7,18 @@
 use crate::config::cell::Devices;
 use crate::daemon::messages::{Made, Message};
 use cell_edge::clock::{Clock, Mark};
+use cell_edge::reserve::with_spare;
 use cell_machine::device::gripper_types::{ModbusFailure, ModbusRequest};
 use cell_machine::device::robot_types::Link;
 use cell_machine::event::Event;
 use cell_values::time::Timestamp;
+use std::io;
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::os::fd::OwnedFd;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
-use tokio::net::TcpStream;
+use tokio::net::{TcpSocket, TcpStream};
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio_modbus::prelude::{Reader, Slave, Writer, tcp};
@@ -142,7 +144,7 @@ impl Sockets {
         line.attempt += 1;
         let (address, attempt) = (line.address, line.attempt);
         line.connecting = Some(tokio::spawn(async move {
-            let result = TcpStream::connect(address).await;
+            let result = reach(address).await;
             // The loop has ended if there is no receiver.
             let _ = messages.send(Message::Made(Made { link, attempt, result })).await;
         }));
@@ -339,6 +341,15 @@ async fn passed(clock: &Clock, span: Duration) {
     }
 }
 
+/// A connection to a device, with a handle of the reserve where there is no other.
+async fn reach(address: SocketAddr) -> io::Result<TcpStream> {
+    let socket = with_spare(|| match address {
+        SocketAddr::V4(_) => TcpSocket::new_v4(),
+        SocketAddr::V6(_) => TcpSocket::new_v6(),
+    })?;
+    socket.connect(address).await
+}
+
 /// The connection to the gripper, while there is one.
 pub type GripperConnection = Option<tokio_modbus::client::Context>;
 
@@ -357,7 +368,7 @@ pub async fn exchange(
     let context = match connection {
         Some(context) => context,
         None => {
-            let stream = TcpStream::connect(address).await.map_err(|e| link(&e))?;
+            let stream = reach(address).await.map_err(|e| link(&e))?;
             made(rustix::io::fcntl_dupfd_cloexec(&stream, 0).ok());
             connection.insert(tcp::attach_slave(stream, unit))
         }

@@ -2,6 +2,7 @@
 
 use super::{Cell, ended, files, signal};
 use crate::cell::wait_until;
+use std::path::Path;
 
 /// The daemon is stopped, `arm` is given, its client ends: after the daemon goes on, nothing is armed.
 #[test]
@@ -49,25 +50,35 @@ fn cell_is_aborted_before_a_thousand_other_orders() {
     wait_until("the others are refused", || files(&cell, ".command") == 0);
 }
 
-/// Without a file handle left, an abort is taken and answered.
+/// Without a file handle left, an abort is taken and answered, and the robot is reached again.
 #[test]
-fn cell_is_aborted_without_a_file_handle_left() {
-    let cell = Cell::start("127.7.9.3", &[]);
+fn cell_is_aborted_and_reaches_its_robot_without_a_file_handle_left() {
+    let mut cell = Cell::start("127.7.9.3", &[]);
     cell.carry();
-    let id = cell.daemon.as_ref().expect("a daemon").0.id();
-    let open = std::fs::read_dir(format!("/proc/{id}/fd")).expect("its handles").flatten();
-    let highest = open.filter_map(|entry| entry.file_name().to_string_lossy().parse::<u64>().ok()).max();
-    let limit = highest.expect("handles") + 1;
+    let id = cell.daemon().id();
+    // Every handle below the first free number is in use: nothing more can be opened.
+    let is_free = |n: &u64| !Path::new(&format!("/proc/{id}/fd/{n}")).exists();
+    let limit = (0..).find(is_free).expect("a free number");
     let lowered = std::process::Command::new("prlimit")
         .args([format!("--pid={id}"), format!("--nofile={limit}:{limit}")])
         .status();
     assert!(lowered.expect("prlimit").success());
-    // What is left below the limit is used up from outside: connections to the daemon's page.
+    // What becomes free below the limit is used up from outside: connections to the daemon's page, as many
+    // as wait without being accepted.
     let page: Vec<_> =
-        (0..300).map_while(|_| std::net::TcpStream::connect((cell.address, 8737)).ok()).collect();
+        (0..120).map_while(|_| std::net::TcpStream::connect((cell.address, 8737)).ok()).collect();
     let (code, said) = cell.celld(&["abort"]);
     assert!(said.contains("disarmed"), "{code:?}: {said}");
     assert!(cell.rests());
+    for n in 0..20 {
+        let (code, said) = cell.celld(&["disarm"]);
+        assert_eq!(code, Some(0), "{n}: {said}");
+    }
+    cell.stop_robot();
+    wait_until("the robot is silent", || cell.robot_silent_s() > 2.0);
+    cell.start_robot();
+    wait_until("the robot answers", || cell.robot_silent_s() < 1.0);
+    assert!(cell.log().contains("a connection could not be accepted"), "handles were left");
     drop(page);
     wait_until("the status says so", || !cell.armed());
 }

@@ -30,7 +30,19 @@ struct Cell {
     address: &'static str,
     config: PathBuf,
     daemon: Option<Running>,
-    _sim: Running,
+    robot_config: PathBuf,
+    robot: Option<Running>,
+}
+
+impl Drop for Cell {
+    /// A test that fails shows what the daemon said.
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            let log = self.log();
+            let lines: Vec<&str> = log.lines().rev().take(60).collect();
+            lines.iter().rev().for_each(|line| eprintln!("{line}"));
+        }
+    }
 }
 
 impl Cell {
@@ -45,9 +57,27 @@ impl Cell {
 
     fn without_daemon(address: &'static str) -> Cell {
         let folder = tempfile::tempdir().expect("a folder");
-        let (config, sim) = configuration(folder.path(), address, 1);
+        let (config, robot_config) = configuration(folder.path(), address, 1);
         copy_calibration(folder.path());
-        Cell { folder, address, config, daemon: None, _sim: start_strict_sim(&sim) }
+        let mut cell = Cell { folder, address, config, daemon: None, robot_config, robot: None };
+        cell.start_robot();
+        cell
+    }
+
+    fn start_robot(&mut self) {
+        self.robot = Some(start_strict_sim(&self.robot_config));
+    }
+
+    fn stop_robot(&mut self) {
+        self.robot = None;
+    }
+
+    /// How long ago the robot answered last, s.
+    fn robot_silent_s(&self) -> f64 {
+        let status = self.status();
+        let devices = status["devices"].as_array().map_or(&[][..], Vec::as_slice);
+        let robot = devices.iter().find(|device| device["name"] == "robot");
+        robot.and_then(|robot| robot["age_s"].as_f64()).unwrap_or(f64::NAN)
     }
 
     fn path(&self) -> &Path {

@@ -296,14 +296,14 @@ pub(crate) fn share_with_group(folder: &Path, file: &File, path: &Path) -> Resul
 /// and it is created exclusively: who may write in the same folder cannot lay a link in its way.
 pub(crate) fn draft(path: &Path, bytes: &[u8]) -> Result<NamedTempFile, FileError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let make = || {
-        tempfile::Builder::new()
-            .prefix(&format!(".{name}."))
-            .suffix(DRAFT_SUFFIX)
-            .permissions(Permissions::from_mode(BEFORE_UMASK))
-            .tempfile_in(parent(path))
-    };
-    let mut draft = with_spare(make).map_err(|e| FileError::io("create", path, e))?;
+    // Opened here and not by the library, whose error does not show whether handles are left.
+    let mut create = OpenOptions::new();
+    create.read(true).write(true).create_new(true).mode(BEFORE_UMASK);
+    let mut draft = tempfile::Builder::new()
+        .prefix(&format!(".{name}."))
+        .suffix(DRAFT_SUFFIX)
+        .make_in(parent(path), |draft| with_spare(|| create.open(draft)))
+        .map_err(|e| FileError::io("create", path, e))?;
     draft.write_all(bytes).map_err(|e| FileError::io("write", path, e))?;
     Ok(draft)
 }

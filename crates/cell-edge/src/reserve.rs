@@ -63,12 +63,10 @@ pub fn with_spare<T>(mut open: impl FnMut() -> io::Result<T>) -> io::Result<T> {
     }
 }
 
-/// The process or the system has no handle left; `tempfile` wraps the system's error.
+/// The process or the system has no handle left, as the system's own error says.
 fn is_out_of_handles(error: &io::Error) -> bool {
     let codes = [rustix::io::Errno::MFILE, rustix::io::Errno::NFILE].map(|errno| errno.raw_os_error());
-    let wrapped = error.get_ref().and_then(|inner| inner.source()?.downcast_ref::<io::Error>());
-    let code = error.raw_os_error().or_else(|| wrapped?.raw_os_error());
-    code.is_some_and(|code| codes.contains(&code))
+    error.raw_os_error().is_some_and(|code| codes.contains(&code))
 }
 
 #[cfg(test)]
