@@ -9,6 +9,7 @@
 use cell_machine::intake::HELD_UP_AFTER;
 use sd_notify::NotifyState;
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -147,7 +148,12 @@ impl Beats {
 pub struct Watchdog {
     shared: Shared,
     thread: std::thread::Thread,
+    /// Closed when the thread has ended.
+    ended: Receiver<()>,
 }
+
+/// How long the end of the daemon waits until the service manager has taken what was reached.
+const SENT_WITHIN: Duration = Duration::from_secs(1);
 
 /// What the daemon and the thread share.
 #[derive(Debug)]
@@ -169,8 +175,13 @@ impl Watchdog {
         let every = wanted.map_or(EVERY, |within| EVERY.min(within / 3));
         let shared = Shared { words: Arc::clone(&words), stage: Arc::clone(&stage), ends: Arc::clone(&ends) };
         let feeder = Feeder { feeds: wanted.is_some(), ..Feeder::default() };
-        let thread = std::thread::spawn(move || watch(&beats, &shared, feeder, every)).thread().clone();
-        Watchdog { shared: Shared { words, stage, ends }, thread }
+        let (runs, ended) = channel();
+        let run = move || {
+            let _runs: Sender<()> = runs;
+            watch(&beats, &shared, feeder, every, &send);
+        };
+        let thread = std::thread::spawn(run).thread().clone();
+        Watchdog { shared: Shared { words, stage, ends }, thread, ended }
     }
 
     /// Jobs are taken in from now on, and orders as soon as the robot is there.
@@ -198,17 +209,25 @@ impl Watchdog {
 }
 
 impl Drop for Watchdog {
+    /// What was reached is sent before the process ends, unless the service manager takes nothing.
     fn drop(&mut self) {
-        self.shared.ends.store(true, Ordering::Relaxed);
+        self.shared.ends.store(true, Ordering::Release);
+        self.thread.unpark();
+        let _ = self.ended.recv_timeout(SENT_WITHIN);
     }
 }
 
 /// The thread: it alone sends to the service manager, whose socket may take nothing for a while.
-fn watch(beats: &Beats, shared: &Shared, mut feeder: Feeder, every: Duration) {
-    while !shared.ends.load(Ordering::Relaxed) {
-        let words = shared.words.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        feeder.turn(&beats.late(Instant::now()), &words).iter().for_each(Outcome::carry_out);
+fn watch(beats: &Beats, shared: &Shared, mut feeder: Feeder, every: Duration, send: &dyn Fn(NotifyState)) {
+    loop {
+        // Read before the stage: what was reached before the end is sent.
+        let ends = shared.ends.load(Ordering::Acquire);
         feeder.reached(shared.stage.load(Ordering::Relaxed)).into_iter().for_each(send);
+        if ends {
+            return;
+        }
+        let words = shared.words.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        feeder.turn(&beats.late(Instant::now()), &words).iter().for_each(|outcome| outcome.carry_out(send));
         if let Some(lost) = feeder.lost(cell_edge::log::lost_lines()) {
             tracing::warn!(lost, "lines of the log were lost: the terminal or the journal took none");
         }
@@ -235,7 +254,7 @@ enum Outcome {
 }
 
 impl Outcome {
-    fn carry_out(&self) {
+    fn carry_out(&self, send: &dyn Fn(NotifyState)) {
         match self {
             Outcome::Feed => send(NotifyState::Watchdog),
             Outcome::Words(words) => send(NotifyState::Status(words)),
@@ -346,6 +365,17 @@ mod tests {
         assert_eq!(feeder.turn(&[], "idle"), [Outcome::Answers("the loop"), Outcome::Feed]);
         let mut alone = Feeder::default();
         assert_eq!(alone.turn(&[], ""), [], "no service manager waits for signs of life");
+    }
+
+    #[test]
+    fn what_was_reached_right_before_the_end_is_sent() {
+        let shared = Shared { words: Arc::default(), stage: Arc::default(), ends: Arc::default() };
+        shared.stage.store(STOPPING, Ordering::Relaxed);
+        shared.ends.store(true, Ordering::Relaxed);
+        let sent = Mutex::new(Vec::new());
+        let send = |state: NotifyState| sent.lock().unwrap().push(state.to_string());
+        watch(&Beats::default(), &shared, Feeder::default(), SECOND, &send);
+        assert_eq!(*sent.lock().unwrap(), ["READY=1", "STOPPING=1"]);
     }
 
     #[test]
