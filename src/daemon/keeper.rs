@@ -198,7 +198,7 @@ impl StateKeeper {
             Ok(count) => tracing::info!(count, "old jobs and refusals were removed from the history"),
             Err(error) => {
                 self.pruned = Some(now);
-                tracing::warn!(%error, "the history could not be brought within its limits");
+                tracing::warn!(error = %chain(&error), "the history could not be brought within its limits");
             }
         }
     }
@@ -225,7 +225,7 @@ impl StateKeeper {
         let status = status::Status::starting(self.daemon.clone(), started, now, message.to_string());
         (self.publish)(&status);
         if let Err(error) = status.write(&self.state.status()) {
-            tracing::warn!(%error, "the status file could not be written");
+            tracing::warn!(error = %chain(&error), "the status file could not be written");
         }
     }
 
@@ -240,7 +240,7 @@ impl StateKeeper {
         let context = job_context(config, &obstacles, &read_goal, &found);
         let read = |text: &str, name: &str| read_for_spool(text, name, &context);
         self.spool.scan(&mut self.journal, &read, now, unix_now_s()).unwrap_or_else(|error| {
-            tracing::error!(%error, "job folders");
+            tracing::error!(error = %chain(&error), "no job file could be taken in");
             Vec::new()
         })
     }
@@ -251,7 +251,7 @@ impl StateKeeper {
 
     fn reconcile(&mut self) {
         if let Err(error) = self.spool.reconcile(&mut self.journal) {
-            tracing::error!(%error, "job folders could not be brought into line; tried again later");
+            tracing::error!(error = %chain(&error), "job folders could not be brought into line; tried again later");
         }
     }
 
@@ -452,7 +452,9 @@ impl Keeper for StateKeeper {
                 SpoolEvent::Cancel { id } => match self.end_waiting(&id) {
                     Ok(true) => tracing::info!(job = id, "waiting job cancelled"),
                     Ok(false) => tracing::warn!(job = id, "there is no such job to cancel"),
-                    Err(error) => tracing::error!(job = id, %error, "job could not be cancelled"),
+                    Err(error) => {
+                        tracing::error!(job = id, error = %chain(&error), "job could not be cancelled")
+                    }
                 },
                 SpoolEvent::Full { name } => tracing::warn!(name, "the queue is full"),
                 SpoolEvent::Unreadable { name, message } => tracing::warn!(name, why = message, "job file"),
@@ -473,7 +475,7 @@ impl Keeper for StateKeeper {
             return None;
         }
         self.next_job().unwrap_or_else(|error| {
-            tracing::error!(%error, "journal");
+            tracing::error!(error = %chain(&error), "the next job could not be read");
             None
         })
     }

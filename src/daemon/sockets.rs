@@ -144,7 +144,7 @@ impl Sockets {
         line.attempt += 1;
         let (address, attempt) = (line.address, line.attempt);
         line.connecting = Some(tokio::spawn(async move {
-            let result = reach(address).await;
+            let result = connection_to(address).await;
             // The loop has ended if there is no receiver.
             let _ = messages.send(Message::Made(Made { link, attempt, result })).await;
         }));
@@ -342,7 +342,7 @@ async fn passed(clock: &Clock, span: Duration) {
 }
 
 /// A connection to a device, with a handle of the reserve where there is no other.
-async fn reach(address: SocketAddr) -> io::Result<TcpStream> {
+async fn connection_to(address: SocketAddr) -> io::Result<TcpStream> {
     let socket = with_spare(|| match address {
         SocketAddr::V4(_) => TcpSocket::new_v4(),
         SocketAddr::V6(_) => TcpSocket::new_v6(),
@@ -368,7 +368,7 @@ pub async fn exchange(
     let context = match connection {
         Some(context) => context,
         None => {
-            let stream = reach(address).await.map_err(|e| link(&e))?;
+            let stream = connection_to(address).await.map_err(|e| link(&e))?;
             made(rustix::io::fcntl_dupfd_cloexec(&stream, 0).ok());
             connection.insert(tcp::attach_slave(stream, unit))
         }

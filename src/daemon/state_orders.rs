@@ -15,6 +15,7 @@ use crate::jobs::state::StateFolder;
 use cell_edge::clock::boot_now_s;
 use cell_machine::intake::{Origin, stale};
 use cell_machine::orders::Reply;
+use rearrange::document::chain::chain;
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -153,7 +154,7 @@ impl Clerk {
                 }
             };
             if let Err(error) = written {
-                tracing::warn!(%error, "a command could not be answered");
+                tracing::warn!(error = %chain(&error), "a command could not be answered");
             }
         }
     }

@@ -18,6 +18,7 @@ use axum::response::{IntoResponse, Response};
 use cell_edge::clock::{boot_now_s, unix_now_s};
 use cell_edge::peer::user_of;
 use cell_machine::orders::{Order, Reply, WayBack};
+use rearrange::document::chain::chain;
 use serde::Deserialize;
 use serde_json::json;
 use std::net::IpAddr;
@@ -108,7 +109,7 @@ fn keep_access(app: &App) {
     let app = app.clone();
     tokio::task::spawn_blocking(move || {
         if let Err(error) = app.keep_access() {
-            tracing::warn!(%error, "page: who is signed in could not be written down");
+            tracing::warn!(error = %chain(&error), "page: who is signed in could not be written down");
         }
     });
 }

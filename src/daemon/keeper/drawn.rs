@@ -6,6 +6,7 @@
 use super::StateKeeper;
 use crate::daemon::plan_files;
 use cell_edge::files::write_whole;
+use rearrange::document::chain::chain;
 use std::path::Path;
 
 impl StateKeeper {
@@ -17,7 +18,7 @@ impl StateKeeper {
         let (Some((id, _)), Some(plan)) = (&self.active, &self.plan) else { return };
         let Ok(Some(folder)) = self.spool.folder_now(&self.journal, id) else { return };
         if let Err(error) = plan_files::write(&folder, id, plan, &self.config) {
-            tracing::warn!(id, %error, "the plan could not be written into the job's folder");
+            tracing::warn!(id, error = %chain(&error), "the plan could not be written into the job's folder");
         }
         let moves = plan_files::drawn_moves(plan, &self.config);
         let jpeg = match plan.preview {
@@ -31,7 +32,7 @@ impl StateKeeper {
     pub(super) fn leave_picture(&self, jpeg: Option<Vec<u8>>, path: &Path) {
         let Some(jpeg) = jpeg.filter(|_| self.disk.takes_pictures()) else { return };
         if let Err(error) = write_whole(path, &jpeg) {
-            tracing::warn!(%error, "a picture could not be written into the job's folder");
+            tracing::warn!(error = %chain(&error), "a picture could not be written into the job's folder");
         }
     }
 }

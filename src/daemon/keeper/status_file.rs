@@ -11,6 +11,7 @@ use cell_edge::files::remove;
 use cell_machine::intake::HELD_UP_AFTER;
 use cell_machine::supervisor::status::{Device, DeviceNote, Doing, Status};
 use cell_values::time::Duration;
+use rearrange::document::chain::chain;
 
 impl StateKeeper {
     /// Writes the status; a disk that does not take it is logged.
@@ -20,7 +21,7 @@ impl StateKeeper {
         let written = status.write(&self.state.status());
         self.status_is_old = written.is_err();
         if let Err(error) = written {
-            tracing::warn!(%error, "the status file could not be written");
+            tracing::warn!(error = %chain(&error), "the status file could not be written");
         }
     }
 
@@ -29,7 +30,7 @@ impl StateKeeper {
         if self.status_is_old
             && let Err(error) = remove(&self.state.status())
         {
-            tracing::error!(%error, "an old status stays behind");
+            tracing::error!(error = %chain(&error), "an old status stays behind");
         }
     }
 
