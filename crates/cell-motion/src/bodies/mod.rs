@@ -10,6 +10,7 @@
 
 pub mod cell;
 mod chains;
+mod nearing;
 pub mod shape;
 pub mod sweep;
 #[cfg(test)]

@@ -175,6 +175,11 @@ impl Shape {
         }
     }
 
+    /// Radius of the ball round its middle that holds all of it, m; infinite for a half-space.
+    pub fn reach(&self) -> f64 {
+        self.reach
+    }
+
     /// The point of its frame round which it lies; the origin for a half-space.
     pub fn middle(&self) -> Vector {
         self.centre
@@ -215,19 +220,29 @@ pub fn apart(a: &Shape, a_at: &Pose, b: &Shape, b_at: &Pose) -> f64 {
 }
 
 /// The same with the direction, in the frame of `a`, in which `b` was found last: from there the search
-/// takes fewer steps. Zero where it is not known.
+/// takes fewer steps. Zero where it is not known. Afterwards it is that of the line between the nearest
+/// points, along which the two are so far apart, or zero.
 pub fn apart_from(a: &Shape, a_at: &Pose, b: &Shape, b_at: &Pose, towards: &mut Vector) -> f64 {
     let between = a_at.inv_mul(b_at);
     if *towards == Vector::ZERO {
         *towards = between * b.centre - a.centre;
     }
     let cores = match (&a.core, &b.core) {
-        (Core::Segment(one), Core::Segment(other)) => distance_segment_segment(&between, one, other),
+        (Core::Segment(one), Core::Segment(other)) => {
+            *towards = Vector::ZERO;
+            distance_segment_segment(&between, one, other)
+        }
         (Core::Segment(one), Core::Hull(other)) => nearest(&between, one, other, towards),
         (Core::Hull(one), Core::Segment(other)) => nearest(&between, one, other, towards),
         (Core::Hull(one), Core::Hull(other)) => nearest(&between, one, other, towards),
-        (Core::HalfSpace { normal, offset }, _) => over(*normal, *offset, b, &between),
-        (_, Core::HalfSpace { normal, offset }) => over(*normal, *offset, a, &between.inverse()),
+        (Core::HalfSpace { normal, offset }, _) => {
+            *towards = *normal;
+            over(*normal, *offset, b, &between)
+        }
+        (_, Core::HalfSpace { normal, offset }) => {
+            *towards = between.rotation * -*normal;
+            over(*normal, *offset, a, &between.inverse())
+        }
     };
     // How deep cores lie in each other is not computed: that they meet is enough.
     let cores = if cores > TOUCHING_M { cores } else { cores.min(-TOUCHING_M) };
@@ -246,7 +261,10 @@ fn nearest(between: &Pose, one: &impl SupportMap, other: &impl SupportMap, towar
         }
         // Without a bound on the distance the search never ends early; where it does not converge, the two
         // are taken to meet.
-        GJKResult::Intersection | GJKResult::Proximity(_) | GJKResult::NoIntersection(_) => 0.0,
+        GJKResult::Intersection | GJKResult::Proximity(_) | GJKResult::NoIntersection(_) => {
+            *towards = Vector::ZERO;
+            0.0
+        }
     }
 }
 

@@ -5,11 +5,13 @@
 //!
 //! It is conservative by bounds on motion, not by dense sampling: after a pair was measured, neither of its
 //! bodies can meet the other before their joints have turned so far that, at the longest lever each joint
-//! has on them, the distance is used up. Each pair is measured again only then (conservative advancement;
-//! Mirtich, "Impulse-based dynamic simulation of rigid body systems", 1996, section 2.3). What is left of
-//! its distance is carried over to the next piece.
+//! has on them, the distance is used up, nor before they have come so much nearer along the line between
+//! them (`nearing`). Each pair is measured again only then (conservative advancement; Mirtich,
+//! "Impulse-based dynamic simulation of rigid body systems", 1996, section 2.3). What is left of its
+//! distance is carried over to the next piece.
 
-use crate::bodies::shape::{apart_from, depth_is_known, surely_apart};
+use crate::bodies::nearing::{Nearing, Twist, bend};
+use crate::bodies::shape::{apart, apart_from, depth_is_known, surely_apart};
 use crate::bodies::{Bodies, Body, Chains, Other, Pair, Part, Room, against};
 use cell_values::units::Joints;
 use parry3d_f64::math::{Pose, Vector};
@@ -23,7 +25,7 @@ const FAR_M: f64 = 0.05;
 
 /// Pairs that are due within this share of a piece are measured together: the arm's frames cost as much as
 /// a few distances.
-const TOGETHER: f64 = 0.02;
+const TOGETHER: f64 = 0.2;
 
 /// A pair that has to be measured, from this share of a piece on.
 struct Due {
@@ -31,11 +33,24 @@ struct Due {
     index: usize,
 }
 
-/// Where the arm is: its frames, and the middles of all that moves with them, in the base frame.
+/// Where the arm is: its frames, how they move there, and the middles of all that moves with them, in the
+/// base frame.
 #[derive(Default)]
 struct Place {
     frames: [Pose; 8],
+    twists: [Twist; 8],
     middles: Vec<Vector>,
+}
+
+/// What a group of pairs has in common: its levers, and what these make of the present piece.
+struct Group {
+    levers: [f64; 6],
+    /// Metres that two bodies with these levers move against each other at most on the whole piece.
+    travel: f64,
+    /// How much a velocity changes on the straight way, m.
+    bend: f64,
+    /// How far the curve may be off the straight way, and how fast it gets there, m: four times the bulge.
+    aside: f64,
 }
 
 /// Distances that are lowered because the arm rests nearer are lowered to this at least, m: what is nearer
@@ -80,6 +95,16 @@ pub struct Meeting {
     pub at: Joints,
 }
 
+impl Group {
+    /// At the start of a piece on which the joints go `way` (rad), so far off it at most as `bulge` says.
+    fn set_out(&mut self, way: &[f64; 6], bulge: &Bulge) {
+        // Off the straight way by 4 s (1 - s) of the bulge at a share s of it, which adds to the motion.
+        self.aside = 4.0 * travel(&self.levers, bulge);
+        self.travel = travel(&self.levers, &way.map(f64::abs)) + self.aside;
+        self.bend = bend(&self.levers, way);
+    }
+}
+
 /// A check under way along a path.
 pub struct Sweep<'a> {
     bodies: &'a Bodies,
@@ -90,11 +115,9 @@ pub struct Sweep<'a> {
     left: Vec<f64>,
     /// Which pairs are kept apart in each zone.
     watched: [Vec<bool>; 3],
-    /// Levers that several pairs have, and which of them each pair has.
-    levers: Vec<[f64; 6]>,
-    levers_of: Vec<usize>,
-    /// Metres that two bodies with these levers move against each other at most on the present piece.
-    travel: Vec<f64>,
+    /// Pairs with the same levers, and to which group each pair belongs.
+    groups: Vec<Group>,
+    group_of: Vec<usize>,
     chains: Chains,
     /// For each pair the direction in which the one body was seen from the other last, in that one's frame.
     towards: Vec<Vector>,
@@ -114,9 +137,8 @@ impl<'a> Sweep<'a> {
             room,
             left: vec![0.0; pairs.len()],
             watched: [const { Vec::new() }; 3],
-            levers: Vec::new(),
-            levers_of: Vec::with_capacity(pairs.len()),
-            travel: Vec::new(),
+            groups: Vec::new(),
+            group_of: Vec::with_capacity(pairs.len()),
             chains: bodies.chains(),
             towards: vec![Vector::ZERO; pairs.len()],
             due: Vec::new(),
@@ -126,10 +148,10 @@ impl<'a> Sweep<'a> {
         };
         for pair in &sweep.pairs {
             // One body's pairs follow each other.
-            if sweep.levers.last() != Some(&pair.levers) {
-                sweep.levers.push(pair.levers);
+            if sweep.groups.last().is_none_or(|group| group.levers != pair.levers) {
+                sweep.groups.push(Group { levers: pair.levers, travel: 0.0, bend: 0.0, aside: 0.0 });
             }
-            sweep.levers_of.push(sweep.levers.len() - 1);
+            sweep.group_of.push(sweep.groups.len() - 1);
         }
         let watched = |zone| sweep.pairs.iter().map(|pair| sweep.watches(pair, zone)).collect();
         sweep.watched = [watched(Zone::Over), watched(Zone::Between), watched(Zone::Corner)];
@@ -176,6 +198,12 @@ impl<'a> Sweep<'a> {
         distances.filter(|(index, distance)| distance.is_nan() || *distance < wanted(*index)).collect()
     }
 
+    /// The distance that a pair has to keep, by its number, m.
+    #[cfg(test)]
+    pub(super) fn wanted(&self, pair: usize) -> f64 {
+        self.pairs[pair].wanted
+    }
+
     /// True where these pairs that are too near say on which way they part: not where it is unknown how deep
     /// two bodies overlap, nor in the air over the table in which things may lie, whose places are not
     /// known.
@@ -216,16 +244,14 @@ impl<'a> Sweep<'a> {
     /// # Errors
     /// The first pair that comes too near.
     pub fn piece(&mut self, from: &Joints, to: &Joints, zone: Zone, bulge: &Bulge) -> Result<(), Meeting> {
-        // Off the straight way by 4 s (1 - s) of the bulge at a share s of it, which adds to the motion.
-        let turn: [f64; 6] = std::array::from_fn(|j| (to.0[j] - from.0[j]).abs() + 4.0 * bulge[j]);
-        self.travel.clear();
-        self.travel.extend(self.levers.iter().map(|levers| travel(levers, &turn)));
+        let way: [f64; 6] = std::array::from_fn(|j| to.0[j] - from.0[j]);
+        self.groups.iter_mut().for_each(|group| group.set_out(&way, bulge));
         let (mut due, mut later) = (std::mem::take(&mut self.due), std::mem::take(&mut self.later));
         let mut place = std::mem::take(&mut self.place);
         self.find_due(zone, &mut due);
         while let Some(share) = due.iter().map(|pair| pair.share).min_by(f64::total_cmp) {
             let q = from.lerp(to, share);
-            self.go_to(&q, &mut place);
+            self.go_to(&q, &way, &mut place);
             // Those that are due soon are measured at the same place, once.
             for pair in due.drain(..) {
                 if pair.share > share + TOGETHER {
@@ -233,27 +259,29 @@ impl<'a> Sweep<'a> {
                     continue;
                 }
                 let index = pair.index;
-                let share = self.measure(index, &place, share, bulge);
+                let share = self.measure(index, &place, share);
                 let share = share.map_err(|()| self.meeting(index, &place, q))?;
                 later.extend(share.map(|share| Due { share, index }));
             }
             std::mem::swap(&mut due, &mut later);
         }
         (self.due, self.later, self.place) = (due, later, place);
-        for (left, levers) in self.left.iter_mut().zip(&self.levers_of) {
+        for (left, group) in self.left.iter_mut().zip(&self.group_of) {
             // `left` counts from the start of the piece; what is used up is measured at the next one's.
-            *left = (*left - self.travel[*levers]).max(0.0);
+            *left = (*left - self.groups[*group].travel).max(0.0);
         }
         Ok(())
     }
 
     /// Measures one pair at a share of the piece: the share at which it is due again, if on this piece.
     /// An error where it is too near.
-    fn measure(&mut self, index: usize, place: &Place, share: f64, bulge: &Bulge) -> Result<Option<f64>, ()> {
-        let distance = self.distance_again(place, index);
-        let (pair, travel) = (&mut self.pairs[index], self.travel[self.levers_of[index]]);
-        let aside =
-            if share > 0.0 { 4.0 * share * (1.0 - share) * self::travel(&pair.levers, bulge) } else { 0.0 };
+    fn measure(&mut self, index: usize, place: &Place, share: f64) -> Result<Option<f64>, ()> {
+        let group = &self.groups[self.group_of[index]];
+        let (travel, aside) = (group.travel, group.aside * share * (1.0 - share));
+        // Where both bodies move, only their levers are known to bound the motion.
+        let any_way = Nearing { rate: travel, bend: 0.0 };
+        let (distance, nearing) = self.distance_on_way(index, place, 1.0 - share);
+        let pair = &mut self.pairs[index];
         let distance = distance - aside;
         if distance >= pair.wanted + GRAIN_M {
             pair.margin = pair.wanted;
@@ -263,22 +291,55 @@ impl<'a> Sweep<'a> {
         if !travel.is_finite() || over.is_nan() || over < 0.0 {
             return Err(());
         }
-        let left = share * travel + over.max(GRAIN_M);
-        self.left[index] = left;
-        Ok((left < travel).then(|| left / travel))
+        let over = over.max(GRAIN_M);
+        let nearing = nearing.unwrap_or(any_way);
+        let nearer = any_way.after(1.0 - share).min(nearing.after(1.0 - share));
+        // So much is left at the end of the piece.
+        self.left[index] = over - nearer + travel;
+        Ok((nearer > over).then(|| share + any_way.lasts(over).max(nearing.lasts(over))))
+    }
+
+    /// A distance that a pair has, m, exact where it is near; and, of one whose other body stands, how fast
+    /// it is used up. `rest` is the share of the piece that is left.
+    fn distance_on_way(&mut self, index: usize, place: &Place, rest: f64) -> (f64, Option<Nearing>) {
+        let pair = &self.pairs[index];
+        let group = &self.groups[self.group_of[index]];
+        let (a, b) = (self.moving(pair.a), self.other(pair.b));
+        let (twist, middle) = (&place.twists[a.frame], place.middles[pair.a]);
+        let stands = !matches!(pair.b, Other::Moving(_));
+        let nearing = |direction: Vector, reach: f64| {
+            let rate = twist.speed_along(direction, middle, reach) + group.aside;
+            Nearing { rate, bend: group.bend }
+        };
+        let other_middle = self.middle(place, pair.b);
+        let sure = surely_apart(&a.shape, middle, &b.shape, other_middle);
+        // A ball round a body does not turn with it.
+        let ball = (other_middle - middle).try_normalize().filter(|_| stands).map(|to| nearing(to, 0.0));
+        let over = sure - pair.margin - 0.25 * group.aside;
+        let lasts = ball.is_some_and(|ball| over > ball.after(rest).max(0.0));
+        if sure - pair.margin > FAR_M || lasts {
+            return (sure, ball);
+        }
+        let mut towards = self.towards[index];
+        let (from, to) = (&place.frames[a.frame], &place.frames[b.frame]);
+        let distance = apart_from(&a.shape, from, &b.shape, to, &mut towards);
+        let direction = towards.try_normalize().filter(|_| stands);
+        let nearing = direction.map(|towards| nearing(from.rotation * towards, a.shape.reach()));
+        self.towards[index] = towards;
+        (distance, nearing)
     }
 
     /// The pairs that have to be measured on the present piece, and where first.
     fn find_due(&mut self, zone: Zone, due: &mut Vec<Due>) {
         due.clear();
-        let pairs = self.left.iter_mut().zip(&self.watched[zone as usize]).zip(&self.levers_of);
-        for (index, ((left, watched), levers)) in pairs.enumerate() {
+        let pairs = self.left.iter_mut().zip(&self.watched[zone as usize]).zip(&self.group_of);
+        for (index, ((left, watched), group)) in pairs.enumerate() {
             if !watched {
                 // What is not watched has no distance left to rely on.
                 *left = 0.0;
                 continue;
             }
-            let travel = self.travel[*levers];
+            let travel = self.groups[*group].travel;
             // Of what is no number nothing is left.
             if *left > 0.0 && *left >= travel {
                 continue;
@@ -318,42 +379,35 @@ impl<'a> Sweep<'a> {
 
     fn place_at(&self, q: &Joints) -> Place {
         let mut place = Place::default();
-        self.go_to(q, &mut place);
+        self.go_to(q, &[0.0; 6], &mut place);
         place
     }
 
-    fn go_to(&self, q: &Joints, place: &mut Place) {
-        let frames = self.chains.frames(q);
+    fn go_to(&self, q: &Joints, way: &[f64; 6], place: &mut Place) {
+        let (frames, twists) = self.chains.moving(q, way);
         let moving = self.bodies.moving.iter().chain(&self.room.load);
         place.middles.clear();
         place.middles.extend(moving.map(|body| frames[body.frame] * body.shape.middle()));
-        place.frames = frames;
+        (place.frames, place.twists) = (frames, twists);
+    }
+
+    /// The middle of a pair's second body, base frame: what does not move is in it.
+    fn middle(&self, place: &Place, other: Other) -> Vector {
+        match other {
+            Other::Moving(index) => place.middles[index],
+            Other::Fixed(_) | Other::Room(_) => self.other(other).shape.middle(),
+        }
     }
 
     /// Distance of a pair: exact where it is near or `exact` is set, else one that it surely has.
     fn distance(&self, place: &Place, index: usize, exact: bool) -> f64 {
-        let mut direction = Vector::ZERO;
-        self.distance_from(place, index, exact, &mut direction)
-    }
-
-    /// The same on a way, where the two are about where they were.
-    fn distance_again(&mut self, place: &Place, index: usize) -> f64 {
-        let mut towards = self.towards[index];
-        let distance = self.distance_from(place, index, false, &mut towards);
-        self.towards[index] = towards;
-        distance
-    }
-
-    fn distance_from(&self, place: &Place, index: usize, exact: bool, towards: &mut Vector) -> f64 {
         let pair = &self.pairs[index];
         let (a, b) = (self.moving(pair.a), self.other(pair.b));
-        // What does not move is in the base frame.
-        let middle = if let Other::Moving(b) = pair.b { place.middles[b] } else { b.shape.middle() };
-        let sure = surely_apart(&a.shape, place.middles[pair.a], &b.shape, middle);
+        let sure = surely_apart(&a.shape, place.middles[pair.a], &b.shape, self.middle(place, pair.b));
         if sure - pair.margin > FAR_M && !exact {
             return sure;
         }
-        apart_from(&a.shape, &place.frames[a.frame], &b.shape, &place.frames[b.frame], towards)
+        apart(&a.shape, &place.frames[a.frame], &b.shape, &place.frames[b.frame])
     }
 
     fn meeting(&self, index: usize, place: &Place, at: Joints) -> Meeting {

@@ -2,7 +2,7 @@
 
 use crate::bodies::cell::NamedShape;
 use crate::bodies::shape::{Shape, apart};
-use crate::bodies::sweep::{Sweep, Zone};
+use crate::bodies::sweep::{STRAIGHT, Sweep, Zone};
 use crate::bodies::{Bodies, Room, Standing, Surroundings, Tabletop};
 use crate::path::{ArmModel, CheckedPath, Leg, PathFault, Segment};
 use crate::pick_n_place::{plan, tool_down};
@@ -11,6 +11,7 @@ use crate::way::{NoWay, Search, find};
 use cell_values::units::Joints;
 use nalgebra::Isometry3;
 use parry3d_f64::math::Pose;
+use rand::{RngExt, SeedableRng};
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
 use ur_arm::kinematics::DhParameters;
@@ -484,4 +485,40 @@ fn between_the_objects_the_tool_does_not_turn_and_the_elbow_stays_over_what_may_
     // Nothing was seen of a table on which things as high as the forearm may stand.
     let fault = down(0.0, 0.45).expect("too near");
     assert!(fault.names("the forearm") || fault.names("the upper arm"), "{fault}");
+}
+
+#[test]
+fn nowhere_on_an_accepted_way_is_anything_nearer_than_it_may() {
+    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(23);
+    let post = Shape::cylinder(0.04, 0.35, &Isometry3::translation(0.1, 0.55, 0.0));
+    let model = beside("the post", post);
+    let (mut accepted, mut refused) = (0, 0);
+    while accepted < 400 {
+        let size = [0.02, 0.1, 0.6][random.random_range(0..3)];
+        let (x, y) = (random.random_range(-0.1..0.6), random.random_range(0.0..0.6));
+        let tool = tool_down(x, y, random.random_range(0.02..0.4), random.random_range(-3.0..3.0));
+        let Some(from) = model.joints_in_work_posture(&tool, &model.home) else { continue };
+        let to = Joints(from.0.map(|q| q + random.random_range(-size..size)));
+        let room = Room::empty();
+        let mut sweep = Sweep::new(&model.bodies, &room);
+        if sweep.way(&from, &to).is_err() {
+            refused += 1;
+            continue;
+        }
+        accepted += 1;
+        // From where it was left, on to a place a little farther: what is left of each distance counts.
+        let on = Joints(to.0.map(|q| q + random.random_range(-0.02..0.02)));
+        let both = sweep.piece(&to, &on, Zone::Over, &STRAIGHT).is_ok();
+        let pieces = [(from, to), (to, on)];
+        for (a, b) in &pieces[..if both { 2 } else { 1 }] {
+            for k in 0..=60 {
+                let q = a.lerp(b, f64::from(k) / 60.0);
+                for (pair, distance) in sweep.too_near(&q) {
+                    let wanted = sweep.wanted(pair);
+                    assert!(distance >= wanted - 6e-4, "{pair}: {distance} of {wanted} m at {q:?}");
+                }
+            }
+        }
+    }
+    assert!(refused > 50, "ways that meet something: {refused}");
 }
