@@ -215,7 +215,8 @@ impl Rules {
         if reply.accepted && self.conduct.order(number) == Some(&Order::Calibrate) {
             self.limits.round_begins(None);
         }
-        self.intake.answered(number, self.conduct.order(number), reply.accepted, &mut self.found);
+        let decided = (self.conduct.order(number), reply.accepted);
+        self.intake.answered(self.frame, number, decided, &mut self.found);
         self.approvals.answered(number, reply.accepted);
         self.arming.answered(self.frame, number, reply);
     }

@@ -238,6 +238,8 @@ impl Machine {
         let waiting = std::mem::take(&mut self.inputs);
         self.take_session_events();
         self.inputs.extend(waiting);
+        // After a pause nothing that was under way goes on before the cell knows of the pause.
+        self.inputs.make_contiguous().sort_by_key(|input| !matches!(input, Input::HeldUp(_)));
         self.work_off(now);
         self.step(now, Input::Tick);
         self.work_off(now);
@@ -336,8 +338,7 @@ impl Machine {
     fn step_without_cell(&mut self, input: Input) {
         match input {
             Input::Order { number, .. } => {
-                let why = self.missing().join("; ");
-                let reply = Reply::refuse(format!("celld is starting: {why}"));
+                let reply = Reply::refuse(format!("celld is starting: {}", self.missing().join("; ")));
                 self.effects.push_back(Effect::Reply { number, reply });
             }
             Input::Shutdown => self.end(Ok(())),

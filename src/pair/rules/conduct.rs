@@ -160,6 +160,8 @@ impl Conduct {
     /// Celld's process stands still in the frame that comes: it reads nothing.
     pub fn stands_still(&mut self) {
         self.last_read = self.frame + 1;
+        // Nor does it answer. Whether it then still carries out what it was given is for `Intake` to judge.
+        self.orders.values_mut().for_each(|(given, _)| *given += 1);
     }
 
     /// The daemon is gone and comes back: nothing that it knew counts.
@@ -335,9 +337,10 @@ impl Conduct {
         }
         let stands = !reply.message.starts_with("stopped") || !self.moved;
         let fine = match order {
-            // A way back arms the cell for itself alone.
+            // A way back arms the cell for itself alone, and another person's order may have armed it since.
             Order::Arm => {
-                accepted == mode.armed() || !accepted && (armed_before || self.recovers(mode, machine))
+                let other = || armed_before || self.others_arm() || self.recovers(mode, machine);
+                accepted == mode.armed() || !accepted && other()
             }
             Order::Disarm => {
                 // Plainly disarmed: no pick-n-place is finished first.
@@ -364,6 +367,12 @@ impl Conduct {
         if !fine && !superseded {
             self.breach(Rule::AnswerNotTrue, format!("{order:?}: {reply:?}, {mode:?}"));
         }
+    }
+
+    /// An order that arms the cell is decided in the same turn as the one that is judged.
+    fn others_arm(&self) -> bool {
+        let arms = |order: &Order| matches!(order, Order::Arm | Order::Recover(_) | Order::Calibrate);
+        self.orders.values().any(|(_, order)| arms(order))
     }
 
     /// The machine is on a way back, or has come to its end.

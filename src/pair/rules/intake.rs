@@ -20,6 +20,10 @@ const FRAMES_PER_S: f64 = 500.0;
 /// A stop is handed on within this, 10 ms: with its decision it takes 20.
 const HANDED_ON_FRAMES: u64 = 5;
 
+/// A stop by opcode, one by dashboard after it and the gripper take less than this, 8 s; a release that
+/// takes longer is not what its sender ordered any more.
+const RELEASED_WITHIN_FRAMES: u64 = 4000;
+
 /// After this long the cell is disarmed, beyond what it may take: 50 ms.
 const DISARMED_FRAMES: u64 = 25;
 
@@ -30,6 +34,8 @@ pub(super) struct Intake {
     stops: BTreeMap<usize, Stop>,
     /// What must not be carried out, and why not.
     void: BTreeMap<u64, String>,
+    /// When each order reached the machine.
+    handed_on: BTreeMap<u64, u64>,
     /// Since when no order can be taken.
     cut_off: Option<u64>,
     /// The process went on after it was held up, and no person has armed the cell since.
@@ -70,6 +76,7 @@ impl Intake {
                 let all_void: Option<Vec<String>> =
                     of.iter().map(|client| void(frame, clients.get(*client))).collect();
                 self.void.extend(all_void.and_then(|mut why| why.pop()).map(|why| (*number, why)));
+                self.handed_on.insert(*number, frame);
             }
             Happened::HeldUp(gap) if *gap > HELD_UP_AFTER => self.held_up = Some(frame),
             Happened::HeldUp(_) => {}
@@ -77,8 +84,18 @@ impl Intake {
     }
 
     /// An order is answered.
-    pub fn answered(&mut self, number: u64, order: Option<&Order>, accepted: bool, found: &mut Found) {
-        let void = self.void.remove(&number);
+    pub fn answered(
+        &mut self,
+        frame: u64,
+        number: u64,
+        (order, accepted): (Option<&Order>, bool),
+        found: &mut Found,
+    ) {
+        // A release waits for the arm to come to rest, and is carried out as it is answered.
+        let since = self.handed_on.remove(&number).filter(|_| matches!(order, Some(Order::Release(_))));
+        let took = since.map(|since| frame - since).filter(|took| *took > RELEASED_WITHIN_FRAMES);
+        let late = took.map(late);
+        let void = self.void.remove(&number).or(late);
         if let (Some(why), true, false) = (void, accepted, order.is_some_and(Order::only_stops)) {
             found.push(Rule::OrderOutOfTime, format!("{order:?} {why}"));
         }
@@ -126,5 +143,9 @@ fn void(frame: u64, client: Option<&Client>) -> Option<String> {
         return Some(format!("of a client that left {:.2} s before", (frame - left) as f64 / FRAMES_PER_S));
     }
     let age_s = (frame - client.given_in().unwrap_or(frame)) as f64 / FRAMES_PER_S;
-    (age_s > COUNTS_FOR_S + 0.01).then(|| format!("{age_s:.2} s after it was given"))
+    (age_s > COUNTS_FOR_S + 0.01).then(|| late(frame - client.given_in().unwrap_or(frame)))
+}
+
+fn late(frames: u64) -> String {
+    format!("{:.2} s after it was given", frames as f64 / FRAMES_PER_S)
 }

@@ -1,9 +1,10 @@
 //! Mutants of the shell around the machine: what it notices and does not report.
 
-use crate::mutants::drill::{Case, arm, until_found, usual};
+use crate::mutants::drill::{Case, arm, until_found, usual, wait, work_until};
 use crate::mutants::plant::Plant;
 use cell_machine::event::Event;
 use cell_machine::intake::Origin;
+use cell_machine::supervisor::status::WorkStep;
 use celld::jobs::command::Command;
 use celld::pair::Pair;
 use celld::pair::rules::Rule;
@@ -39,6 +40,13 @@ pub const CASES: &[Case] = &[
         cell: usual,
         plant: || without(|event| matches!(event, Event::HeldUp(_))),
         drill: held_up,
+    },
+    Case {
+        name: "a release that waited for the arm goes out after a pause of celld",
+        rule: Rule::OrderOutOfTime,
+        cell: usual,
+        plant: || without(|event| matches!(event, Event::HeldUp(_))),
+        drill: held_up_before_it_lets_go,
     },
 ];
 
@@ -86,4 +94,14 @@ fn held_up(pair: &mut Pair, _: &Stage) {
     arm(pair);
     pair.stand_still(1.5);
     until_found(pair, 3.0);
+}
+
+fn held_up_before_it_lets_go(pair: &mut Pair, stage: &Stage) {
+    work_until(pair, stage, WorkStep::Carrying);
+    wait(pair, 0.6);
+    pair.shell().add(Client::new(Command::Release { channel: None }, Way::File, 0, Leaves::GivesUp(10.0)));
+    // The arm is fast, and brakes.
+    wait(pair, 0.02);
+    pair.stand_still(12.0);
+    until_found(pair, 14.0);
 }

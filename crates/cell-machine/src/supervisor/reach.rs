@@ -35,6 +35,7 @@ impl Supervisor {
 
     pub(crate) fn on_held_up(&mut self, now: Timestamp, gap: Duration, out: &mut Vec<Action>) {
         self.ledger.start_again(now);
+        self.refuse_releases(out);
         let seconds = gap.as_secs_f64();
         let message = format!(
             "celld was held up for {seconds:.1} s: its process was stopped, or the computer was busy"

@@ -81,6 +81,18 @@ impl Supervisor {
         !self.until_it_stands.is_empty() || !self.stands || !devices.arm_settled
     }
 
+    /// Nothing is let go any more for who waits for it: so long after the order nobody may hold the object.
+    pub(crate) fn refuse_releases(&mut self, out: &mut Vec<Action>) {
+        let releases = |waits: &mut UntilItStands| matches!(waits.then, Then::Release(_));
+        for waits in self.until_it_stands.extract_if(.., releases) {
+            let reply = Reply::refuse(
+                "not released: celld was held up before the arm had come to rest; see who holds the object, \
+                 then try again",
+            );
+            out.push(Action::Reply { number: waits.number, reply });
+        }
+    }
+
     /// The daemon ends: who still waits for an answer gets what is known.
     pub(crate) fn answer_at_the_end(&mut self, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
         let stands = self.arm_stands(devices);

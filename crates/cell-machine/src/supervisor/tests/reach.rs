@@ -3,7 +3,7 @@
 use super::faults::working;
 use super::*;
 use crate::code::Code;
-use crate::device::gripper_types::GripperEvent;
+use crate::device::gripper_types::{Channels, GripperEvent};
 use crate::intake::Unreachable;
 
 impl Bench {
@@ -65,4 +65,17 @@ fn a_pause_of_celld_is_no_fault_of_the_disk() {
     let stop = status.stopped.expect("the stop is shown");
     assert_eq!(stop.code, Code::HeldUp);
     assert!(stop.message.contains("20.0 s"), "{stop:?}");
+}
+
+#[test]
+fn a_release_that_waits_for_the_arm_is_refused_after_a_pause_of_celld() {
+    let mut bench = working();
+    let waits = bench.feed(order(Order::Release(Channels::B)));
+    assert!(stops(&waits) && answer(&waits).is_none() && keeps_the_vacuum(&waits), "{waits:?}");
+    bench.now += Duration::from_secs(16);
+    let all = bench.feed(Input::HeldUp(Duration::from_secs(16)));
+    let refused = answer(&all).expect("an answer");
+    assert!(!refused.accepted && keeps_the_vacuum(&all), "{refused:?}");
+    let later = bench.ticks(500);
+    assert!(answer(&later).is_none() && keeps_the_vacuum(&later), "{later:?}");
 }
