@@ -49,7 +49,7 @@ MOST_MEGABYTES := 15
 
 .PHONY: help setup clients demo try test test-cases test-clients test-clients-many test-page bench-page book bench figures
 .PHONY: fuzz fuzz-corpus bench-recording demo-fleet bench-fleet bench-fleet-hour setup-fleet test-fleet test-cluster bench-cluster check-slurm tidy
-.PHONY: bench-busy data release install uninstall deb test-deb sim-static wheel image test-wheel test-image
+.PHONY: bench-busy bench-stops data release install uninstall deb test-deb sim-static wheel image test-wheel test-image
 
 help:
 	@echo "make demo [ARGS='--scene planks']   a whole cell in simulation; report in ./out"
@@ -61,6 +61,7 @@ help:
 	@echo "make test-page                      the page in a browser (installs Chromium)"
 	@echo "make bench-recording                what recording costs the daemon"
 	@echo "make bench-page                     what viewers of the page cost the loop and the processor (ten minutes)"
+	@echo "make bench-stops                    how soon a stop is on the wire beside 200 clients, 1000 files, 100 viewers"
 	@echo "make bench-busy                     a simulated cell beside 24 tasks that want the processor (installs stress-ng)"
 	@echo "make test-fleet                     many cells against a real NATS server (installs it)"
 	@echo "make bench-fleet                    100 cells and a NATS server, all killed at random: is each job done once?"
@@ -399,7 +400,12 @@ book:
 bench: setup
 	cargo bench
 
-# What recording costs the daemon: figures, none of them judged. Two simulated cells at real time, minutes.
+# How soon is a stop on the wire while everything else wants celld's attention? Figures; it fails where a
+# stop is not passed on or not answered.
+bench-stops: setup
+	cargo build --release --quiet --bin celld
+	python3 -B tests/load/stop_latency.py --celld $(BUILD)/release/celld
+
 # Is a simulated cell stopped because the computer is busy? With a simulator that waits for nobody it has to
 # be, or the load was none.
 BUSY_PACKAGES := stress-ng
@@ -410,6 +416,7 @@ bench-busy: setup
 	@$(BUSY)
 	@echo "bench-busy: with --strict"; $(BUSY) --strict --arms 5 --demos 0 --expect-stops
 
+# What recording costs the daemon: figures, none of them judged. Two simulated cells at real time, minutes.
 bench-recording: setup
 	cargo build --release --bin celld
 	python3 -B benches/recording_cost.py $(BUILD)/release/celld

@@ -173,6 +173,11 @@ pub fn file_name(unix_s: f64, pid: u32, number: u32, stops: bool) -> String {
     format!("{micros:020}-{pid}-{number:03}{mark}{SUFFIX}")
 }
 
+/// The process that gave a command, by the name of its file; all names of another form count as one sender.
+pub fn sender_of(name: &str) -> &str {
+    name.split('-').nth(1).unwrap_or("")
+}
+
 /// A command on its way, seen from the sender. As long as it is kept, the daemon sees that its sender waits.
 #[derive(Debug)]
 pub struct Sent {

@@ -4,16 +4,17 @@
 //! commands, each once, stops before everything else; files that are no commands, with their answers; why
 //! the folder cannot be read.
 
-use crate::jobs::command::{Command, Envelope, MAX_BYTES, STOP_MARK, SUFFIX};
+use crate::jobs::command::{Command, Envelope, MAX_BYTES, STOP_MARK, SUFFIX, sender_of};
 use cell_edge::files::{FileError, create_folder, write_answer};
 use cell_edge::mailbox::{Letter, Mailbox, SenderLock};
 use cell_machine::intake::Unreachable;
 use cell_machine::orders::Reply;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
-/// New files that are looked into at a time, to find the stops among them.
-const LOOKED_INTO_AT_ONCE: usize = 256;
+/// New files that are looked into at a time, to find the stops among them that are not named as such: few,
+/// for a stop that comes meanwhile waits until they are read.
+const LOOKED_INTO_AT_ONCE: usize = 32;
 
 /// Commands other than stops that are taken at a time.
 const TAKEN_AT_ONCE: usize = 8;
@@ -108,7 +109,7 @@ impl Taken {
 /// What a look into the folder brought.
 #[derive(Debug)]
 pub struct Mail<L = SenderLock> {
-    /// Commands, stops first, then in the order of sending.
+    /// Commands, stops first, then the senders in turn.
     pub taken: Vec<Taken<L>>,
     /// Files that are no command for this daemon, with their answers.
     pub refused: Vec<Refused>,
@@ -186,8 +187,9 @@ impl<F: Folder> Inbox<F> {
         &self.folder
     }
 
-    /// Takes what is there: every stop, and up to `room` other commands in the order of sending. Whatever
-    /// happens to one file, what was taken besides is returned.
+    /// Takes what is there: every stop, and up to `room` other commands, the senders in turn and each one's
+    /// in the order of sending: a script with a thousand commands delays its own alone. Whatever happens to
+    /// one file, what was taken besides is returned.
     pub fn take(&mut self, room: usize) -> Mail<F::Lock> {
         let mut mail = Mail::default();
         let folder = || self.folder.path().display().to_string();
@@ -204,12 +206,8 @@ impl<F: Folder> Inbox<F> {
         };
         self.known.retain(|name, _| names.binary_search(name).is_ok());
         self.take_stops(&names, &mut mail);
-        let mut room = room.min(TAKEN_AT_ONCE);
-        for name in names.iter().filter(|name| self.known.get(*name) == Some(&Known::Waits)) {
-            if room == 0 {
-                break;
-            }
-            room -= 1;
+        let waiting = names.iter().filter(|name| self.known.get(*name) == Some(&Known::Waits));
+        for name in in_turn(waiting).into_iter().take(room.min(TAKEN_AT_ONCE)) {
             self.take_one(name, &mut mail);
         }
         mail
@@ -221,6 +219,7 @@ impl<F: Folder> Inbox<F> {
             .iter()
             .filter(|name| !self.known.contains_key(*name))
             .partition(|name| name.contains(STOP_MARK));
+        let others = in_turn(others.into_iter());
         for name in stops.into_iter().chain(others).take(LOOKED_INTO_AT_ONCE) {
             match self.read(name) {
                 Ok(Ok(taken)) if taken.command.only_stops() => {
@@ -274,6 +273,21 @@ impl<F: Folder> Inbox<F> {
     }
 }
 
+/// The first of each sender's files, then the second of each, and so on; `names` are in order.
+fn in_turn<'a>(names: impl Iterator<Item = &'a String>) -> Vec<&'a String> {
+    let mut before: HashMap<&str, usize> = HashMap::new();
+    let mut turns: Vec<(usize, &String)> = names
+        .map(|name| {
+            let turn = before.entry(sender_of(name)).or_default();
+            *turn += 1;
+            (*turn, name)
+        })
+        .collect();
+    // Stable: within a turn they stay in order.
+    turns.sort_by_key(|(turn, _)| *turn);
+    turns.into_iter().map(|(_, name)| name).collect()
+}
+
 /// An answer may be a secret (`celld open`): it is for the user who gave the command, and another user than
 /// the daemon's reads it by the group that both are in.
 fn answer(command: &Path, requested_by: u32, reply: &Reply) -> Result<(), FileError> {
@@ -321,6 +335,24 @@ mod tests {
     }
 
     #[test]
+    fn a_command_waits_behind_one_of_each_other_sender_and_not_behind_all_of_a_script() {
+        let folder = folder();
+        let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
+        let text = r#"{"daemon": "d1", "boot_s": 100.0, "command": {"do": "resume"}}"#;
+        let write = |name: String| std::fs::write(folder.path().join(name), text).unwrap();
+        (0..100).for_each(|n| write(format!("1-7-{n:05}.command")));
+        (0..100).for_each(|n| write(format!("{n:04}.command")));
+        let arm = Sent::send(folder.path(), "d1", &Command::Arm, given(1e9)).unwrap();
+        let later = Sent::send(folder.path(), "d1", &Command::ConfirmGripper, given(1e9)).unwrap();
+        // All are new in the first looks.
+        let taken: Vec<Command> = (0..3).flat_map(|_| inbox.take(9).taken).map(|one| one.command).collect();
+        let [first, second] = [Command::Arm, Command::ConfirmGripper]
+            .map(|command| taken.iter().position(|one| *one == command).expect("taken"));
+        assert!(first < 3 && first < second && second < 6, "{taken:?}");
+        drop((arm, later));
+    }
+
+    #[test]
     fn a_stop_is_taken_before_a_thousand_other_commands() {
         let folder = folder();
         let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
@@ -334,7 +366,7 @@ mod tests {
         assert!(!abort.lies_there() && abort.poll().unwrap().is_some_and(|reply| reply.accepted));
         // One that nothing in its name marks is found within a few looks.
         std::fs::write(folder.path().join("9999.command"), text.replace("resume", "abort")).unwrap();
-        let found = (0..8).any(|_| commands(&inbox.take(0)).contains(&&Command::Abort));
+        let found = (0..40).any(|_| commands(&inbox.take(0)).contains(&&Command::Abort));
         assert!(found, "among a thousand others");
     }
 

@@ -1,0 +1,285 @@
+"""How soon a stop is on the wire while everything else wants celld's attention.
+
+In: the program celld, how many stops, how much beside them. Out: a table of the time from the rename of an
+order's file into the folder of commands to the package with which celld passes the stop on to the robot, and
+of the time to the answers of other orders. The robot is a simulated one that waits for nobody, behind a
+relay that notes when each package left celld. Beside it: clients at nice 10 that give orders as fast as they
+are answered, a script that fills the folder with orders, viewers of the page, a log that nobody reads. The
+exit code is 1 if a stop was not passed on, or not answered.
+"""
+
+import argparse
+import contextlib
+import fcntl
+import json
+import os
+import pathlib
+import random
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+
+import busy_computer
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+ROBOT = "127.9.9.3"
+RELAY = "127.9.9.4"
+PORTS = [29999, 30001, 30004]
+RTDE = 30004
+
+# Packages of the robot's interface (RTDE guide): size and type before the content; inputs have this type.
+HEAD = 3
+DATA = ord("U")
+
+# celld's commands (hardware/ur5e/README.md): the recipe's number, 3 whole numbers, 9 real ones.
+COMMAND_SIZE = HEAD + 1 + 3 * 4 + 9 * 8
+OPCODE = slice(HEAD + 5, HEAD + 9)
+MOVE, STOP = 1, 5
+
+# Longest waits, s.
+ANSWER_WITHIN = 30
+MOVES_WITHIN = 15
+STOPS_WITHIN = 5
+NO_JOB_AFTER = 3
+
+# So often in a row the arm may stay where it is before that is a fault.
+MISSES = 20
+
+
+def be_prompt():
+    """What is measured is celld: this thread does not wait for a processor, where the system allows that."""
+    with contextlib.suppress(PermissionError):
+        # What it starts is as usual.
+        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+        os.sched_setscheduler(threading.get_native_id(), policy, os.sched_param(10))
+
+
+class Relay:
+    """Passes bytes on in both directions, and notes when a move and when a stop goes to celld's program."""
+
+    def __init__(self):
+        self.seen, self.condition = {MOVE: [], STOP: []}, threading.Condition()
+        for port in PORTS:
+            listener = socket.create_server((RELAY, port))
+            threading.Thread(target=self.serve, args=(listener, port), daemon=True).start()
+
+    def serve(self, listener, port):
+        while True:
+            near, _ = listener.accept()
+            with contextlib.suppress(OSError):
+                far = socket.create_connection((ROBOT, port))
+                for one in (near, far):
+                    one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                watch = self.commands() if port == RTDE else None
+                for ends in ((near, far, watch), (far, near, None)):
+                    threading.Thread(target=self.pump, args=ends, daemon=True).start()
+
+    @staticmethod
+    def pump(source, sink, watch):
+        be_prompt()
+        with contextlib.suppress(OSError):
+            while data := source.recv(65536):
+                sink.sendall(data)
+                if watch:
+                    watch(time.monotonic(), data)
+        for end in (source, sink):
+            with contextlib.suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+
+    def commands(self):
+        """A function that takes the bytes of one connection and notes the commands in them."""
+        rest = b""
+
+        def watch(at, data):
+            nonlocal rest
+            rest += data
+            while len(rest) >= HEAD:
+                size = int.from_bytes(rest[:2], "big")
+                if size < HEAD or len(rest) < size:
+                    break
+                package, rest = rest[:size], rest[size:]
+                if package[2] == DATA and size == COMMAND_SIZE:
+                    self.note(at, int.from_bytes(package[OPCODE], "big"))
+
+        return watch
+
+    def note(self, at, opcode):
+        with self.condition:
+            if opcode in self.seen:
+                self.seen[opcode].append(at)
+            self.condition.notify_all()
+
+    def first_after(self, opcode, at, within):
+        """When this command went out first after this moment; None if it did not in so many seconds."""
+        with self.condition:
+            found = lambda: next((one for one in self.seen[opcode][-50:] if one >= at), None)
+            return self.condition.wait_for(found, within)
+
+
+class Orders:
+    """Orders as files in the folder of commands, as `celld arm` and its like leave them."""
+
+    def __init__(self, folder, daemon):
+        self.folder, self.daemon, self.number = folder / "state" / "commands", daemon, 0
+
+    def leave(self, order):
+        """The moment of the rename, where the answer will be, and the lock that says that we wait."""
+        self.number += 1
+        boot_s = time.clock_gettime(time.CLOCK_BOOTTIME)
+        text = json.dumps({"daemon": self.daemon, "boot_s": boot_s, "command": {"do": order}})
+        stop = "-stop" if order in ("abort", "disarm", "pause") else ""
+        name = f"{int(time.time() * 1e6):020}-{os.getpid()}-{self.number:05}{stop}"
+        draft = self.folder / f".{name}.tmp"
+        draft.write_text(text)
+        lock = open(draft)
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        at = time.monotonic()
+        draft.rename(self.folder / f"{name}.command")
+        return at, self.folder / f"{name}.reply", lock
+
+    def give(self, order):
+        """When it was left, and the answer with the time to it."""
+        at, reply, lock = self.leave(order)
+        answer = self.answer(reply)
+        lock.close()
+        return at, answer, time.monotonic() - at
+
+    @staticmethod
+    def answer(reply):
+        end = time.monotonic() + ANSWER_WITHIN
+        while time.monotonic() < end:
+            with contextlib.suppress(OSError, ValueError):
+                answer = json.loads(reply.read_text())
+                reply.unlink()
+                return answer
+            time.sleep(0.001)
+        return None
+
+
+def flood(orders, files, over):
+    """A script's orders, whose sender is gone: as many again as soon as few are left."""
+    text = json.dumps({"daemon": orders.daemon, "boot_s": 1.0, "command": {"do": "resume"}})
+    while not over.is_set():
+        if len(list(orders.folder.glob("0000*.command"))) < files // 4:
+            for number in range(files):
+                (orders.folder / f"0000{number:05}.command").write_text(text)
+        for reply in orders.folder.glob("0000*.reply"):
+            with contextlib.suppress(OSError):
+                reply.unlink()
+        over.wait(0.5)
+
+
+def viewers(count, address, token, stack):
+    """Streams of the page that nobody reads."""
+    for _ in range(count):
+        viewer = stack.enter_context(contextlib.closing(socket.create_connection((address, 8737))))
+        head = f"GET /api/v1/events HTTP/1.1\r\nhost: {address}:8737\r\nauthorization: Bearer {token}\r\n\r\n"
+        viewer.sendall(head.encode())
+
+
+def clients(args, folder, stack):
+    """People and scripts that give orders as fast as they are answered."""
+    if args.clients == 0:
+        return
+    one = f"while :; do {args.celld} recover >/dev/null 2>&1; done"
+    # In one session: where each session has its share of the processor, `nice` counts within one alone.
+    all_of_them = f"for k in $(seq {args.clients}); do ({one}) & done; wait"
+    command = ["nice", "-n", "10", "sh", "-c", all_of_them]
+    process = subprocess.Popen(command, cwd=folder, start_new_session=True)
+    stack.callback(os.killpg, process.pid, signal.SIGKILL)
+
+
+def configure(folder):
+    busy_computer.configure(folder, 1)
+    path = folder / "config" / "cell.yaml"
+    text = path.read_text().replace(busy_computer.ADDRESS, ROBOT)
+    path.write_text(text.replace(f"robot: {{host: {ROBOT}}}", f"robot: {{host: {RELAY}}}"))
+    path = folder / "config" / "sim.yaml"
+    path.write_text(path.read_text().replace(busy_computer.ADDRESS, ROBOT))
+
+
+def measure(args, cell, relay, orders):
+    """Times of stops and of other orders, s; a stop that was not passed on or not answered is None."""
+    be_prompt()
+    stops, others = [], []
+    jobs = misses = 0
+    while len(stops) < args.stops:
+        began, answer, seconds = orders.give("arm")
+        others.append(seconds)
+        moves = answer and answer["accepted"] and relay.first_after(MOVE, began, NO_JOB_AFTER)
+        if not moves:
+            misses += 1
+            if misses > MISSES:
+                raise busy_computer.Failed(f"the arm does not move; `celld arm` was answered {answer}")
+            # The last job has used up its looks.
+            jobs += 1
+            (cell.folder / "job.yaml").write_text(busy_computer.JOB.format(name=f"look-{jobs}"))
+            cell.call("submit", "job.yaml")
+            moves = answer and answer["accepted"] and relay.first_after(MOVE, began, MOVES_WITHIN)
+        if not moves:
+            continue
+        misses = 0
+        time.sleep(random.uniform(0.05, 0.4))
+        at, reply, lock = orders.leave("abort")
+        seen = relay.first_after(STOP, at, STOPS_WITHIN)
+        answered = orders.answer(reply) is not None
+        stops.append(seen - at if seen and answered else None)
+        lock.close()
+        if len(stops) % 10 == 0:
+            print(f"  {len(stops)} of {args.stops}", flush=True)
+    return stops, others
+
+
+def share(times, part):
+    return sorted(times)[min(int(len(times) * part), len(times) - 1)] * 1e3
+
+
+def report(name, times):
+    line = f"{len(times):6} {share(times, 0.5):8.1f} {share(times, 0.99):8.1f} {max(times) * 1e3:8.1f}"
+    print(f"{name:32} {line}")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--celld", type=pathlib.Path, required=True)
+    parser.add_argument("--stops", type=int, default=1000)
+    parser.add_argument("--clients", type=int, default=200)
+    parser.add_argument("--files", type=int, default=1000)
+    parser.add_argument("--viewers", type=int, default=100)
+    args = parser.parse_args()
+    args.celld = args.celld.resolve()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as stack:
+        folder = pathlib.Path(name)
+        configure(folder)
+        relay = Relay()
+        sim = [args.celld, "sim", "--strict", "--config", "config/sim.yaml"]
+        stack.enter_context(busy_computer.running(sim, cwd=folder, stdout=subprocess.DEVNULL))
+        # The other end of its log stays open, and unread.
+        run = [args.celld, "run", "--config", "config/cell.yaml"]
+        stack.enter_context(busy_computer.running(run, cwd=folder, stderr=subprocess.PIPE))
+        cell = busy_computer.Cell(args.celld, folder)
+        status = cell.until("celld starts", lambda status: status["state"] == "idle", 120)
+        orders = Orders(folder, status["daemon"])
+        token = cell.call("open", "--token", "--role", "view", "--name", "viewer")[1].splitlines()[-1]
+        over = threading.Event()
+        stack.callback(over.set)
+        viewers(args.viewers, ROBOT, token, stack)
+        clients(args, folder, stack)
+        threading.Thread(target=flood, args=(orders, args.files, over), daemon=True).start()
+        stops, others = measure(args, cell, relay, orders)
+    seen = [seconds for seconds in stops if seconds is not None]
+    print(f"{'ms':32} {'count':>6} {'median':>8} {'p99':>8} {'worst':>8}")
+    report("a stop, to the wire", seen or [0.0])
+    report("arm, to its answer", others)
+    lost = len(stops) - len(seen)
+    print(f"{'stops not passed on or answered':32} {lost:6}")
+    sys.exit(int(lost > 0 or not seen))
+
+
+if __name__ == "__main__":
+    main()
