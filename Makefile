@@ -49,7 +49,7 @@ MOST_MEGABYTES := 15
 
 .PHONY: help setup clients demo try test test-cases test-clients test-clients-many test-page bench-page book bench figures
 .PHONY: fuzz fuzz-corpus bench-recording demo-fleet bench-fleet bench-fleet-hour setup-fleet test-fleet test-cluster bench-cluster check-slurm tidy
-.PHONY: bench-busy bench-stops data release install uninstall deb test-deb sim-static wheel image test-wheel test-image
+.PHONY: bench-busy bench-stops soak data release install uninstall deb test-deb sim-static wheel image test-wheel test-image
 
 help:
 	@echo "make demo [ARGS='--scene planks']   a whole cell in simulation; report in ./out"
@@ -62,6 +62,7 @@ help:
 	@echo "make bench-recording                what recording costs the daemon"
 	@echo "make bench-page                     what viewers of the page cost the loop and the processor (ten minutes)"
 	@echo "make bench-stops                    how soon a stop is on the wire beside 200 clients, 1000 files, 100 viewers"
+	@echo "make soak [HOURS=8]                 hours of cell time with faults and restarts: does anything grow? out/soak"
 	@echo "make bench-busy                     a simulated cell beside 24 tasks that want the processor (installs stress-ng)"
 	@echo "make test-fleet                     many cells against a real NATS server (installs it)"
 	@echo "make bench-fleet                    100 cells and a NATS server, all killed at random: is each job done once?"
@@ -405,6 +406,12 @@ bench: setup
 bench-stops: setup
 	cargo build --release --quiet --bin celld
 	python3 -B tests/load/stop_latency.py --celld $(BUILD)/release/celld
+
+# Hours of cell time, five times as fast as real time where the computer is quick enough.
+HOURS := 8
+soak: setup
+	cargo build --release --quiet --bin celld
+	python3 -B tests/load/soak.py --celld $(BUILD)/release/celld --hours $(HOURS)
 
 # Is a simulated cell stopped because the computer is busy? With a simulator that waits for nobody it has to
 # be, or the load was none.
