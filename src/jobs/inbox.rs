@@ -12,8 +12,8 @@ use cell_machine::orders::Reply;
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
-/// New files that are looked into at a time, to find the stops among them that are not named as such: few,
-/// for a stop that comes meanwhile waits until they are read.
+/// New files read per look, to find stops without the mark in their names. Few, because a stop that arrives
+/// meanwhile waits until they are read.
 const LOOKED_INTO_AT_ONCE: usize = 32;
 
 /// Commands other than stops that are taken at a time.
@@ -187,9 +187,9 @@ impl<F: Folder> Inbox<F> {
         &self.folder
     }
 
-    /// Takes what is there: every stop, and up to `room` other commands, the senders in turn and each one's
-    /// in the order of sending: a script with a thousand commands delays its own alone. Whatever happens to
-    /// one file, what was taken besides is returned.
+    /// Takes every stop, and up to `room` other commands, in turn by sender and by time within a sender: a
+    /// script with a thousand commands delays only its own. Whatever happens to one file, what was taken
+    /// besides is returned.
     pub fn take(&mut self, room: usize) -> Mail<F::Lock> {
         let mut mail = Mail::default();
         let folder = || self.folder.path().display().to_string();

@@ -3,8 +3,8 @@
 In: the program celld, hours of cell time, how much faster than real time. Out: a line for each sample and, in
 the folder of --out, `samples.csv` and `soak.svg`: memory, handles and threads of both processes, the
 journal's size for each job, how long an order takes to its answer. Jobs come back to back; every tenth one
-meets a fault and a person's way back, viewers of the page come and go, and celld is restarted twice. What
-grows by more than 1 % of its level in an hour of cell time, after the first hour of a run of celld, is named.
+has a fault and a recovery, page viewers never read their streams, and celld is restarted twice. The report
+names each figure that grows by more than 1 % an hour of cell time after the first hour of a celld run.
 The exit code is 1 then, or where a job has no result.
 """
 
@@ -15,7 +15,6 @@ import json
 import pathlib
 import re
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -23,6 +22,7 @@ import time
 import urllib.request
 
 import busy_computer
+import stop_latency
 
 ADDRESS = busy_computer.ADDRESS
 CONTROL = f"http://{ADDRESS}:8091"
@@ -50,7 +50,7 @@ ANSWER_WITHIN = 30
 
 VIEWERS = 5
 
-# A run of celld counts after so many hours of cell time, and growth beyond this share an hour is named.
+# Growth is judged after the first hour of a celld run; the limit is a share of the mean, an hour.
 SETTLED_H = 1.0
 GROWTH = 0.01
 
@@ -90,7 +90,7 @@ class Soak:
         urllib.request.urlopen(request, timeout=10).close()
 
     def back_to_work(self):
-        """What a person does after a stop: look what is held, choose a way back, arm."""
+        """Recovers like an operator: reads the status, chooses a recovery option, arms the cell."""
         end = time.monotonic() + BACK_WITHIN
         said = ""
         while time.monotonic() < end:
@@ -156,7 +156,7 @@ class Soak:
     def work(self, until_h, daemon, sim):
         """Jobs back to back until so many hours of cell time."""
         with contextlib.ExitStack() as stack:
-            viewers(self.cell, stack)
+            stop_latency.viewers(VIEWERS, ADDRESS, self.cell, stack)
             next_at = 0
             while self.hours() < until_h:
                 self.job()
@@ -167,15 +167,6 @@ class Soak:
     def start(self, log):
         run = [self.args.celld, "run", "--config", "config/cell.yaml"]
         return busy_computer.running(run, cwd=self.folder, stderr=log)
-
-
-def viewers(cell, stack):
-    """Streams of the page: the first reads nothing, the others what comes until their buffers are full."""
-    token = cell.call("open", "--token", "--role", "view", "--name", "viewer")[1].splitlines()[-1]
-    for _ in range(VIEWERS):
-        viewer = stack.enter_context(contextlib.closing(socket.create_connection((ADDRESS, 8737))))
-        head = f"GET /api/v1/events HTTP/1.1\r\nhost: {ADDRESS}:8737\r\nauthorization: Bearer {token}\r\n\r\n"
-        viewer.sendall(head.encode())
 
 
 def growth(samples, column):
@@ -252,16 +243,18 @@ def report(run, reached, out):
     print(f"{'time factor reached':36} {reached:.2f}")
     print(f"{'jobs, lost, faults':36} {run.jobs}, {len(run.lost)}, {run.faults}")
     print(f"{'ends':36} {', '.join(f'{code} {count}' for code, count in sorted(run.ends.items()))}")
-    grown = []
+    grown, judged = [], False
     for column, name in enumerate(COLUMNS):
         share = growth(run.samples, column) if column >= 3 else None
         if share is None:
             continue
+        judged = True
         print(f"{name + ', growth an hour':36} {100 * share:+.2f} %")
         # An answer's time is no store that fills.
         if share > GROWTH and name != "answer ms":
             grown.append(name)
-    print(f"{'grows':36} {', '.join(grown) or 'nothing'}")
+    verdict = ", ".join(grown) or ("nothing" if judged else "not judged: no celld run was long enough")
+    print(f"{'grows':36} {verdict}")
     print(f"{'picture':36} {out / 'soak.svg'}")
     return bool(grown or run.lost)
 

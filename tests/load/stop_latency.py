@@ -173,8 +173,9 @@ def flood(orders, files, over):
         over.wait(0.5)
 
 
-def viewers(count, address, token, stack):
-    """Streams of the page that nobody reads."""
+def viewers(count, address, cell, stack):
+    """Opens event streams of the page and never reads them."""
+    token = cell.call("open", "--token", "--role", "view", "--name", "viewer")[1].splitlines()[-1]
     for _ in range(count):
         viewer = stack.enter_context(contextlib.closing(socket.create_connection((address, 8737))))
         head = f"GET /api/v1/events HTTP/1.1\r\nhost: {address}:8737\r\nauthorization: Bearer {token}\r\n\r\n"
@@ -265,10 +266,9 @@ def main():
         cell = busy_computer.Cell(args.celld, folder)
         status = cell.until("celld starts", lambda status: status["state"] == "idle", 120)
         orders = Orders(folder, status["daemon"])
-        token = cell.call("open", "--token", "--role", "view", "--name", "viewer")[1].splitlines()[-1]
         over = threading.Event()
         stack.callback(over.set)
-        viewers(args.viewers, ROBOT, token, stack)
+        viewers(args.viewers, ROBOT, cell, stack)
         clients(args, folder, stack)
         threading.Thread(target=flood, args=(orders, args.files, over), daemon=True).start()
         stops, others = measure(args, cell, relay, orders)

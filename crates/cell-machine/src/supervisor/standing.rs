@@ -81,13 +81,13 @@ impl Supervisor {
         !self.until_it_stands.is_empty() || !self.stands || !devices.arm_settled
     }
 
-    /// Nothing is let go any more for who waits for it: so long after the order nobody may hold the object.
+    /// Refuses every pending release: the person who ordered it may no longer be holding the object.
     pub(crate) fn refuse_releases(&mut self, out: &mut Vec<Action>) {
         let releases = |waits: &mut UntilItStands| matches!(waits.then, Then::Release(_));
         for waits in self.until_it_stands.extract_if(.., releases) {
             let reply = Reply::refuse(
-                "not released: celld was held up before the arm had come to rest; see who holds the object, \
-                 then try again",
+                "not released: celld was held up while the arm was stopping; make sure that someone holds \
+                 the object, then try again",
             );
             out.push(Action::Reply { number: waits.number, reply });
         }

@@ -6,9 +6,9 @@
 //! It is conservative by bounds on motion, not by dense sampling: after a pair was measured, neither of its
 //! bodies can meet the other before their joints have turned so far that, at the longest lever each joint
 //! has on them, the distance is used up, nor before they have come so much nearer along the line between
-//! them (`nearing`). Each pair is measured again only then (conservative advancement; Mirtich,
-//! "Impulse-based dynamic simulation of rigid body systems", 1996, section 2.3). What is left of its
-//! distance is carried over to the next piece.
+//! them (`nearing`). Each pair is measured again only then. Unused distance carries over to the next
+//! piece. The method is conservative advancement: Mirtich, "Impulse-based dynamic simulation of rigid body
+//! systems", 1996, section 2.3.
 
 use crate::bodies::nearing::{Nearing, Twist, bend};
 use crate::bodies::shape::{apart, apart_from, depth_is_known, surely_apart};

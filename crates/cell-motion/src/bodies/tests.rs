@@ -506,7 +506,7 @@ fn nowhere_on_an_accepted_way_is_anything_nearer_than_it_may() {
             continue;
         }
         accepted += 1;
-        // From where it was left, on to a place a little farther: what is left of each distance counts.
+        // The next piece starts at the end of the first and reuses the distances that remain.
         let on = Joints(to.0.map(|q| q + random.random_range(-0.02..0.02)));
         let both = sweep.piece(&to, &on, Zone::Over, &STRAIGHT).is_ok();
         let pieces = [(from, to), (to, on)];
