@@ -113,7 +113,8 @@ impl Supervisor {
         }
     }
 
-    /// At the first reading after a start: what an earlier celld had gripped hangs there if there is vacuum.
+    /// At the first reading after a start: what an earlier celld had gripped hangs there if the vacuum holds
+    /// it. Less vacuum proves nothing: a gripper that has lost its object goes on pumping through open cups.
     /// How it hangs was written down before it was picked.
     pub(crate) fn name_what_hangs(&mut self, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
         if devices.vacuum.is_none() || !devices.gripper_answers {
@@ -142,10 +143,19 @@ impl Supervisor {
             let_go: false,
         };
         let what = &held.object;
-        alarm(
-            out,
-            format!("{what} was gripped when celld last ended: it hangs on the cups; `celld recover`"),
-        );
+        let gripped = format!("{what} was gripped when celld last ended");
+        if devices.gripper_holds {
+            alarm(out, format!("{gripped}: it hangs on the cups; `celld recover`"));
+        } else {
+            alarm(
+                out,
+                format!(
+                    "{gripped}, and the vacuum is too low to hold it: see where it lies, or whether it still \
+                     hangs on the cups; `celld recover`"
+                ),
+            );
+            self.back.fell = Some(format!("{what} fell before celld started"));
+        }
         self.back.held = Some(held);
     }
 
