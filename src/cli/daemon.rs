@@ -14,7 +14,7 @@ use crate::config::setup::{Measured, cell_model, cell_objects, scene};
 use crate::daemon::cameras;
 use crate::daemon::film::Film;
 use crate::daemon::gripper_memory::GripperMemory;
-use crate::daemon::intake::Sources;
+use crate::daemon::intake::{Orders, Sources};
 use crate::daemon::keeper::{Identities, StateKeeper};
 use crate::daemon::last_picture::LastPicture;
 use crate::daemon::reception::Reception;
@@ -370,7 +370,16 @@ fn opened(begin: &Begin, name: String, anew: &Anew, stop: &Arc<AtomicBool>) -> R
         reported(status);
     };
     let keeper = keeper.published(Box::new(publish), remarks).sharing(shared.name());
-    let orders = Sources::of(vec![Box::new(in_folder.with_sign_ins(sign_ins)), Box::new(at_page)]);
+    let stops = in_folder.stops();
+    let mut orders: Vec<Box<dyn Orders>> =
+        vec![Box::new(in_folder.with_sign_ins(sign_ins)), Box::new(at_page)];
+    match stops {
+        Ok(stops) => orders.push(Box::new(stops)),
+        Err(error) => {
+            tracing::warn!(error = %chain(&error), "stops may wait behind other orders in the folder");
+        }
+    }
+    let orders = Sources::of(orders);
     Ok(Opened { keeper, orders, feed, film })
 }
 

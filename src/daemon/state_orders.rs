@@ -9,20 +9,26 @@ use crate::daemon::gripper_memory::GripperMemory;
 use crate::daemon::intake::Orders;
 use crate::daemon::keeper::KeeperError;
 use crate::jobs::command::{Command, SignIn};
-use crate::jobs::inbox::{Inbox, Refused, Taken};
+use crate::jobs::inbox::{Inbox, Mail, Refused, ReportedStops, Taken};
 use crate::jobs::sources::{Batch, Given};
 use crate::jobs::state::StateFolder;
 use cell_edge::clock::boot_now_s;
+use cell_edge::files::FileError;
 use cell_machine::intake::{Origin, stale};
-use cell_machine::orders::Reply;
+use cell_machine::orders::{Order, Reply};
 use rearrange::document::chain::chain;
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 /// Commands other than stops wait in the folder while so many are not answered.
 const UNANSWERED_MAX: usize = 64;
+
+/// Commands other than stops are taken for so long at a time. With many clients at work the system may wait
+/// 20 ms for the folder's lock with each; an intake that is silent for 1 s stops the cell.
+const TAKES_FOR: Duration = Duration::from_millis(50);
 
 /// Who signs people in at the page.
 pub trait SignInHandler: Send {
@@ -33,9 +39,17 @@ pub trait SignInHandler: Send {
     fn sign_out(&self, name: &str) -> Reply;
 }
 
+/// Which commands are taken.
+enum Reader {
+    /// All, by listing the folder.
+    Listing(Inbox),
+    /// Stops, as soon as the kernel reports them.
+    Stops(ReportedStops),
+}
+
 /// Operators' commands in the state folder.
 pub struct StateOrders {
-    inbox: Inbox,
+    reader: Reader,
     last: u32,
     unanswered: VecDeque<(u32, Taken)>,
     clerk: Option<Clerk>,
@@ -54,9 +68,26 @@ impl StateOrders {
         daemon: String,
         memory: GripperMemory,
     ) -> Result<StateOrders, KeeperError> {
-        let inbox = Inbox::open(&state.commands(), daemon)?;
-        let clerk = Some(Clerk { memory, sign_ins: None });
-        Ok(StateOrders { inbox, last: 0, unanswered: VecDeque::new(), clerk, letters: None, writes: None })
+        let reader = Reader::Listing(Inbox::open(&state.commands(), daemon)?);
+        Ok(StateOrders::reading(reader, Clerk { memory: Some(memory), sign_ins: None }))
+    }
+
+    fn reading(reader: Reader, clerk: Clerk) -> StateOrders {
+        let (unanswered, clerk) = (VecDeque::new(), Some(clerk));
+        StateOrders { reader, last: 0, unanswered, clerk, letters: None, writes: None }
+    }
+
+    /// The stops in the same folder as a source of their own, which no other command can hold up.
+    ///
+    /// # Errors
+    /// The system gives no watch on the folder; then stops are taken with all the others.
+    pub fn stops(&self) -> Result<StateOrders, FileError> {
+        let inbox = match &self.reader {
+            Reader::Listing(inbox) => inbox,
+            Reader::Stops(stops) => stops.inbox(),
+        };
+        let stops = Reader::Stops(inbox.reported_stops()?);
+        Ok(StateOrders::reading(stops, Clerk { memory: None, sign_ins: None }))
     }
 
     /// With a page at which people can be signed in; before the first order is taken.
@@ -83,11 +114,21 @@ impl StateOrders {
 
 impl Orders for StateOrders {
     fn task(&self) -> &'static str {
-        "the intake of orders"
+        match self.reader {
+            Reader::Listing(_) => "the intake of orders",
+            Reader::Stops(_) => "the intake of stops",
+        }
     }
 
     fn take(&mut self) -> Batch {
-        let mail = self.inbox.take(UNANSWERED_MAX.saturating_sub(self.unanswered.len()));
+        let room = UNANSWERED_MAX.saturating_sub(self.unanswered.len());
+        let mail = match &mut self.reader {
+            Reader::Listing(inbox) => {
+                let began = Instant::now();
+                inbox.take_while(room, || began.elapsed() < TAKES_FOR)
+            }
+            Reader::Stops(stops) => Mail { taken: stops.take(), ..Mail::default() },
+        };
         mail.refused.into_iter().for_each(|refused| self.write(Letter::Refused(refused)));
         let mut orders = Vec::with_capacity(mail.taken.len());
         for taken in mail.taken {
@@ -136,7 +177,8 @@ enum Letter {
 
 /// What the thread that writes works with.
 struct Clerk {
-    memory: GripperMemory,
+    /// Where a confirmed gripper is remembered.
+    memory: Option<GripperMemory>,
     sign_ins: Option<Box<dyn SignInHandler>>,
 }
 
@@ -147,10 +189,9 @@ impl Clerk {
                 Letter::Refused(refused) => refused.answer(),
                 Letter::SignIn(taken) => taken.answer(&self.sign_in(&taken)),
                 Letter::Answer(taken, reply) => {
-                    let order = taken.command.order();
-                    let reply =
-                        order.map_or_else(|| reply.clone(), |order| self.memory.remember(&order, &reply));
-                    taken.answer(&reply)
+                    let remembered = taken.command.order().zip(self.memory.as_ref());
+                    let remember = |(order, memory): (Order, &GripperMemory)| memory.remember(&order, &reply);
+                    taken.answer(&remembered.map_or_else(|| reply.clone(), remember))
                 }
             };
             if let Err(error) = written {

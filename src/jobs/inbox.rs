@@ -2,22 +2,27 @@
 //!
 //! In: a folder, through the calls of [`Folder`] alone, so that the closed loop has one without files. Out:
 //! commands, each once, stops before everything else; files that are no commands, with their answers; why
-//! the folder cannot be read.
+//! the folder cannot be read. Listing the folder may wait for its senders, who take the same lock of the
+//! system; so stops are also read by the names that the kernel reports, on a thread of their own
+//! ([`ReportedStops`]).
 
 use crate::jobs::command::{Command, Envelope, MAX_BYTES, STOP_MARK, SUFFIX, sender_of};
 use cell_edge::files::{FileError, create_folder, write_answer};
-use cell_edge::mailbox::{Letter, Mailbox, SenderLock};
+use cell_edge::mailbox::{Arrivals, FileId, Letter, Mailbox, SenderLock};
 use cell_machine::intake::Unreachable;
 use cell_machine::orders::Reply;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 
-/// New files read per look, to find stops without the mark in their names. Few, because a stop that arrives
-/// meanwhile waits until they are read.
+/// New files read per look, to find stops without the mark in their names.
 const LOOKED_INTO_AT_ONCE: usize = 32;
 
 /// Commands other than stops that are taken at a time.
-const TAKEN_AT_ONCE: usize = 8;
+const TAKEN_AT_ONCE: usize = 32;
+
+/// Stops that are remembered as handed on; their files are removed with the answer, a moment later.
+const HANDED_ON_MAX: usize = 1024;
 
 /// The answer to a command that was left for an earlier daemon.
 pub const FOR_ANOTHER: &str = "this command was meant for a daemon that has ended";
@@ -81,6 +86,8 @@ impl Folder for Mailbox {
 /// A command that the daemon took, to be answered.
 #[derive(Clone, Debug)]
 pub struct Taken<L = SenderLock> {
+    /// Which file it was.
+    pub id: FileId,
     /// What is requested.
     pub command: Command,
     /// Who gave it: the system's number of the owner of its file.
@@ -150,12 +157,32 @@ enum Known {
     Waits,
 }
 
+/// Stops that were handed on, by listing or by report: each counts once.
+#[derive(Clone, Debug, Default)]
+struct HandedOn(Arc<Mutex<VecDeque<FileId>>>);
+
+impl HandedOn {
+    /// Notes a stop; false if it is noted already.
+    fn note(&self, id: FileId) -> bool {
+        let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if all.contains(&id) {
+            return false;
+        }
+        if all.len() >= HANDED_ON_MAX {
+            all.pop_front();
+        }
+        all.push_back(id);
+        true
+    }
+}
+
 /// The daemon's end.
 #[derive(Debug)]
 pub struct Inbox<F = Mailbox> {
     folder: F,
     daemon: String,
     known: BTreeMap<String, Known>,
+    handed_on: HandedOn,
 }
 
 impl Inbox {
@@ -174,12 +201,42 @@ impl Inbox {
         }
         Ok(Inbox::of(mailbox, daemon))
     }
+
+    /// A second reader of the same folder, for another thread: a stop is handed on by one of the two.
+    ///
+    /// # Errors
+    /// The folder cannot be opened or watched.
+    pub fn reported_stops(&self) -> Result<ReportedStops, FileError> {
+        let folder = Mailbox::open(self.folder.path())?;
+        let arrivals = folder.arrivals()?;
+        let (daemon, handed_on) = (self.daemon.clone(), self.handed_on.clone());
+        Ok(ReportedStops { inbox: Inbox { folder, daemon, known: BTreeMap::new(), handed_on }, arrivals })
+    }
+}
+
+/// The stops whose files the kernel reports as they come.
+#[derive(Debug)]
+pub struct ReportedStops {
+    inbox: Inbox,
+    arrivals: Arrivals,
+}
+
+impl ReportedStops {
+    /// The reader beneath.
+    pub fn inbox(&self) -> &Inbox {
+        &self.inbox
+    }
+
+    /// Those since the last call that nobody has handed on.
+    pub fn take(&self) -> Vec<Taken> {
+        self.inbox.take_reported_stops(&self.arrivals.names(SUFFIX))
+    }
 }
 
 impl<F: Folder> Inbox<F> {
     /// Reads this folder for the daemon called `daemon`.
     pub fn of(folder: F, daemon: impl Into<String>) -> Inbox<F> {
-        Inbox { folder, daemon: daemon.into(), known: BTreeMap::new() }
+        Inbox { folder, daemon: daemon.into(), known: BTreeMap::new(), handed_on: HandedOn::default() }
     }
 
     /// The folder.
@@ -187,10 +244,24 @@ impl<F: Folder> Inbox<F> {
         &self.folder
     }
 
+    /// Takes the stops among the files of these names, which have just come. Only names with the mark of a
+    /// stop are looked up: to look for a file that is gone again the system waits for the folder's lock.
+    pub fn take_reported_stops(&self, names: &[String]) -> Vec<Taken<F::Lock>> {
+        let marked = names.iter().filter(|name| name.contains(STOP_MARK));
+        let stops = marked.filter_map(|name| self.read(name).ok()?.ok());
+        stops.filter(|taken| taken.command.only_stops() && self.handed_on.note(taken.id)).collect()
+    }
+
     /// Takes every stop, and up to `room` other commands, in turn by sender and by time within a sender: a
     /// script with a thousand commands delays only its own. Whatever happens to one file, what was taken
     /// besides is returned.
     pub fn take(&mut self, room: usize) -> Mail<F::Lock> {
+        self.take_while(room, || true)
+    }
+
+    /// The same, but after `in_time` has become false only stops: each of the others may wait for the
+    /// folder's lock.
+    pub fn take_while(&mut self, room: usize, in_time: impl Fn() -> bool) -> Mail<F::Lock> {
         let mut mail = Mail::default();
         let folder = || self.folder.path().display().to_string();
         if !self.folder.is_in_place() {
@@ -207,7 +278,7 @@ impl<F: Folder> Inbox<F> {
         self.known.retain(|name, _| names.binary_search(name).is_ok());
         self.take_stops(&names, &mut mail);
         let waiting = names.iter().filter(|name| self.known.get(*name) == Some(&Known::Waits));
-        for name in in_turn(waiting).into_iter().take(room.min(TAKEN_AT_ONCE)) {
+        for name in in_turn(waiting).into_iter().take(room.min(TAKEN_AT_ONCE)).take_while(|_| in_time()) {
             self.take_one(name, &mut mail);
         }
         mail
@@ -224,7 +295,9 @@ impl<F: Folder> Inbox<F> {
             match self.read(name) {
                 Ok(Ok(taken)) if taken.command.only_stops() => {
                     self.known.insert(name.clone(), Known::Obeyed);
-                    mail.taken.push(taken);
+                    if self.handed_on.note(taken.id) {
+                        mail.taken.push(taken);
+                    }
                 }
                 Ok(_) => _ = self.known.insert(name.clone(), Known::Waits),
                 Err(fault) => mail.fault = fault.or(mail.fault.take()),
@@ -263,7 +336,8 @@ impl<F: Folder> Inbox<F> {
             Err(_) => refused(letter.uid, NO_COMMAND),
             Ok(Envelope { daemon, .. }) if daemon != self.daemon => refused(letter.uid, FOR_ANOTHER),
             Ok(Envelope { boot_s, command, .. }) => {
-                Ok(Ok(Taken { command, uid: letter.uid, boot_s, lock: letter.lock, path }))
+                let Letter { id, uid, lock, .. } = letter;
+                Ok(Ok(Taken { id, command, uid, boot_s, lock, path }))
             }
         }
     }
@@ -368,6 +442,29 @@ mod tests {
         std::fs::write(folder.path().join("9999.command"), text.replace("resume", "abort")).unwrap();
         let found = (0..40).any(|_| commands(&inbox.take(0)).contains(&&Command::Abort));
         assert!(found, "among a thousand others");
+    }
+
+    #[test]
+    fn a_stop_is_handed_on_by_one_of_two_readers() {
+        let folder = folder();
+        let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
+        let stops = inbox.reported_stops().unwrap();
+        let reported = || stops.take().into_iter().map(|one| one.command).collect::<Vec<_>>();
+        let send = |command| Sent::send(folder.path(), "d1", &command, given(10.0)).unwrap();
+        let (_first, _arm) = (send(Command::Abort), send(Command::Arm));
+        assert_eq!(reported(), [Command::Abort], "and nothing else");
+        assert_eq!(commands(&inbox.take(9)), [&Command::Arm]);
+        let _second = send(Command::Abort);
+        assert_eq!(commands(&inbox.take(9)), [&Command::Abort]);
+        assert!(reported().is_empty(), "listed before");
+        // The same name once more, as a script may choose it.
+        for name in inbox.folder.names(SUFFIX).unwrap() {
+            let (path, hidden) = (folder.path().join(name), folder.path().join(".again"));
+            std::fs::copy(&path, &hidden).unwrap();
+            std::fs::rename(&hidden, &path).unwrap();
+            assert_eq!(reported(), [Command::Abort]);
+        }
+        assert!(inbox.take(9).taken.is_empty());
     }
 
     #[test]

@@ -254,6 +254,7 @@ impl Shell {
     }
 
     fn take_in(&mut self, frame: u64, handed: &mut Handed) {
+        let reported = self.inbox.take_reported_stops(&self.inbox.folder().arrived());
         let room = UNANSWERED_MAX.saturating_sub(self.awaited.len());
         let mail = self.inbox.take(room);
         if mail.fault.is_none() {
@@ -261,7 +262,7 @@ impl Shell {
         }
         self.looked.1 = mail.fault;
         let mut given = Vec::new();
-        for taken in mail.taken {
+        for taken in reported.into_iter().chain(mail.taken) {
             let Some(order) = taken.command.order() else { continue };
             let number = self.number(FOLDER);
             let name = taken.path.file_name().map(|name| name.to_string_lossy().into_owned());

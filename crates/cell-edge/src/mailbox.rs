@@ -4,16 +4,19 @@
 //! sender's lock, whether the folder is still the one under its name. A sender holds an exclusive lock on
 //! its file until it has its answer; the kernel frees the lock with the process, however that ends, so the
 //! receiver sees whether a client still waits. Nothing here waits for a disk: a file is for the process that
-//! runs now and not for the one after a power cut, so none is synced. Listing needs no new handle.
+//! runs now and not for the one after a power cut, so none is synced. Listing needs no new handle, but takes
+//! the lock of the folder that every sender takes too; [`Arrivals`] name new files without it.
 
 use crate::files::{FileError, Unfit, draft, share_with_group};
 use crate::reserve;
+use rustix::fs::inotify::{self, CreateFlags, WatchFlags};
 use rustix::fs::{AtFlags, CWD, Mode, OFlags, RawDir, RenameFlags, SeekFrom};
 use rustix::io::Errno;
 use std::ffi::OsStr;
 use std::fs::{File, TryLockError};
 use std::io::{self, Read};
 use std::mem::MaybeUninit;
+use std::os::fd::{AsRawFd, OwnedFd};
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -38,9 +41,20 @@ impl SenderLock {
     }
 }
 
+/// A file's identity: another file of the same name, before or after, has another one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FileId {
+    /// The system's number of the file.
+    pub inode: u64,
+    /// When it was renamed into place, ns.
+    pub changed_ns: i128,
+}
+
 /// A file that was left.
 #[derive(Debug)]
 pub struct Letter<L = SenderLock> {
+    /// Which file it is.
+    pub id: FileId,
     /// Its text.
     pub text: String,
     /// The system's number of its owner.
@@ -96,7 +110,7 @@ impl Mailbox {
             let entry = entry.map_err(fail)?;
             // A name that is no text is none that a sender of ours gives.
             let Ok(name) = entry.file_name().to_str() else { continue };
-            if name.ends_with(suffix) && !name.starts_with('.') {
+            if is_left(name, suffix) {
                 names.push(name.to_owned());
             }
         }
@@ -138,7 +152,22 @@ impl Mailbox {
             return Err(unfit(Unfit::TooLarge(max_bytes)));
         }
         let text = String::from_utf8(bytes).map_err(|_| unfit(Unfit::NotText))?;
-        Ok(Letter { text, uid: metadata.uid(), lock: SenderLock(Arc::new(file)) })
+        let changed_ns = i128::from(metadata.ctime()) * 1_000_000_000 + i128::from(metadata.ctime_nsec());
+        let id = FileId { inode: metadata.ino(), changed_ns };
+        Ok(Letter { id, text, uid: metadata.uid(), lock: SenderLock(Arc::new(file)) })
+    }
+
+    /// Files that come into the folder from now on.
+    ///
+    /// # Errors
+    /// The system has no watch to give.
+    pub fn arrivals(&self) -> Result<Arrivals, FileError> {
+        let fail = |e: Errno| FileError::io("watch", &self.path, e.into());
+        let events = inotify::init(CreateFlags::CLOEXEC | CreateFlags::NONBLOCK).map_err(fail)?;
+        // The folder that is open, whatever its name leads to by now.
+        let open = format!("/proc/self/fd/{}", self.folder.as_raw_fd());
+        inotify::add_watch(&events, open, WatchFlags::MOVED_TO | WatchFlags::CLOSE_WRITE).map_err(fail)?;
+        Ok(Arrivals(events))
     }
 
     /// Removes a file; false where its sender has taken it back.
@@ -152,6 +181,33 @@ impl Mailbox {
             Err(errno) => Err(FileError::io("remove", &self.path.join(name), errno.into())),
         }
     }
+}
+
+/// New files of a folder by name, as the kernel reports them. It may lose some (a full queue, a file system
+/// that reports nothing, a hard link), so the folder has to be listed as well.
+#[derive(Debug)]
+pub struct Arrivals(OwnedFd);
+
+impl Arrivals {
+    /// The names that have come since the last call, in order, at most as many as fit into 32 KiB; those
+    /// that end in `suffix` and are not hidden.
+    pub fn names(&self, suffix: &str) -> Vec<String> {
+        let mut buffer = [MaybeUninit::uninit(); 32 * 1024];
+        let mut reader = inotify::Reader::new(&self.0, &mut buffer);
+        let mut names = Vec::new();
+        while let Ok(event) = reader.next() {
+            let name = event.file_name().and_then(|name| name.to_str().ok());
+            names.extend(name.filter(|name| is_left(name, suffix)).map(str::to_string));
+            if reader.is_buffer_empty() {
+                break;
+            }
+        }
+        names
+    }
+}
+
+fn is_left(name: &str, suffix: &str) -> bool {
+    name.ends_with(suffix) && !name.starts_with('.')
 }
 
 /// A file that was left for another process, with the sender's lock on it.
@@ -223,6 +279,24 @@ mod tests {
         std::fs::remove_dir(&path).unwrap();
         assert!(!mailbox.is_in_place());
         assert!(mailbox.names(".command").is_err() && mailbox.claim("0.command").is_ok_and(|had| !had));
+    }
+
+    #[test]
+    fn each_new_file_is_reported_and_has_an_identity_of_its_own() {
+        let folder = tempfile::tempdir().unwrap();
+        let mailbox = Mailbox::open(folder.path()).unwrap();
+        let arrivals = mailbox.arrivals().unwrap();
+        assert!(arrivals.names(".command").is_empty());
+        let left = leave(folder.path(), names(), b"1").unwrap();
+        std::fs::write(folder.path().join("0.reply"), "another kind").unwrap();
+        assert_eq!(arrivals.names(".command"), ["0.command"]);
+        assert!(arrivals.names(".command").is_empty(), "once");
+        let first = mailbox.read("0.command", 100).unwrap().id;
+        assert_eq!(mailbox.read("0.command", 100).unwrap().id, first);
+        std::fs::remove_file(&left.path).unwrap();
+        let _again = leave(folder.path(), names(), b"1").unwrap();
+        assert_ne!(mailbox.read("0.command", 100).unwrap().id, first, "the same name, another file");
+        assert_eq!(arrivals.names(".command"), ["0.command"]);
     }
 
     #[test]
