@@ -1,18 +1,22 @@
 //! Mutants of motion: commands that are changed, made up or lost on their way to the robot, and states on
 //! their way back.
 
-use crate::mutants::drill::{Case, arm, bring_about, submit, until_found, usual, wait, work_until};
+use crate::mutants::drill::{Case, SEED, arm, bring_about, submit, until_found, usual, wait, work_until};
 use crate::mutants::plant::{Plant, is_armed, shared};
 use crate::mutants::rtde;
 use cell_machine::device::robot_types::Link;
 use cell_machine::event::{Effect, Event};
 use cell_machine::orders::Order;
+use cell_machine::supervisor::order::JobOrder;
 use cell_machine::supervisor::round::RoundOrder;
 use cell_machine::supervisor::status::WorkStep;
 use cell_motion::slow::CalibrationBox;
 use celld::pair::Pair;
 use celld::pair::rules::Rule;
+use celld::pair::run::true_poses;
 use celld::pair::stage::Stage;
+use celld::pair::work::job;
+use rearrange::geometry::pose::Pose2;
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
@@ -53,6 +57,13 @@ pub const CASES: &[Case] = &[
         cell: usual,
         plant: folded,
         drill: a_job_begins,
+    },
+    Case {
+        name: "what is picked is lifted a little and carried through what lies beside it",
+        rule: Rule::MeetsObject,
+        cell: usual,
+        plant: lifted_a_little,
+        drill: carried_past_a_neighbour,
     },
     Case {
         name: "a path is not checked against the range of a joint",
@@ -109,6 +120,39 @@ fn scaled(field: std::ops::Range<usize>, factor: f64) -> Plant {
         }
         true
     })
+}
+
+/// Of a line that follows a line, up from where an object is picked or put down, the arm goes this share.
+fn lifted_a_little() -> Plant {
+    const SHARE: f64 = 0.15;
+    let mut last = None;
+    on_commands(move |command| {
+        let opcode = rtde::integer(command, rtde::OPCODE);
+        if opcode != rtde::MOVE_JOINT && opcode != rtde::MOVE_LINEAR {
+            return true;
+        }
+        let target: [f64; 6] = std::array::from_fn(|joint| rtde::double(command, rtde::argument(joint)));
+        let before = last.replace((opcode, target));
+        if let Some((rtde::MOVE_LINEAR, from)) = before
+            && opcode == rtde::MOVE_LINEAR
+        {
+            for (joint, from) in from.iter().enumerate() {
+                let there = from + SHARE * (target[joint] - from);
+                rtde::set_double(command, rtde::argument(joint), there);
+            }
+            rtde::set_double(command, rtde::BLEND, 0.0);
+        }
+        true
+    })
+}
+
+/// The plank at one end of a row, wanted at the other end.
+fn carried_past_a_neighbour(pair: &mut Pair, stage: &Stage) {
+    arm(pair);
+    let usual = job(&stage.model, &true_poses(pair, &stage.model), SEED, 0);
+    let goals = vec![("plank-1".to_string(), Pose2::new(0.34, 0.08, 0.0))];
+    pair.submit(JobOrder { goals, ..usual });
+    until_found(pair, 20.0);
 }
 
 fn a_job_begins(pair: &mut Pair, stage: &Stage) {
