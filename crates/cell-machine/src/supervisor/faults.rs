@@ -161,8 +161,8 @@ impl Supervisor {
                 return alarm(
                     out,
                     format!(
-                        "the program is paused in the middle of a motion: play within {seconds} s goes on \
-                         with it, `celld abort` ends it"
+                        "the program is paused in the middle of a motion: `celld abort`, then \
+                         `celld recover`; the motion goes on if the program is played within {seconds} s"
                     ),
                 );
             }

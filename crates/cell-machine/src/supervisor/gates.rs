@@ -46,7 +46,7 @@ impl GateClosed {
             }
             GateClosed::Local => "switch the pendant to Remote Control, then `celld arm`",
             GateClosed::Program => "look at the pendant for the program's error, then `celld arm`",
-            GateClosed::Paused => "press play at the pendant, or `celld abort`",
+            GateClosed::Paused => "`celld abort`, then `celld recover`",
             GateClosed::NotPlaying(_) => "look at the pendant for what the program does, or `celld abort`",
             GateClosed::Orders(_) => "put the state folder back or restart celld",
             GateClosed::Disarmed => "`celld arm` once the cell is clear",

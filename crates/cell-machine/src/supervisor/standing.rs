@@ -53,8 +53,8 @@ impl Supervisor {
                 Then::Release(_) => out.push(Action::Reply {
                     number: waits.number,
                     reply: Reply::refuse(
-                        "not released: the arm has not come to rest, or its program could not be ended: stop \
-                         it at the pendant, then try again",
+                        "not released: the arm has not come to rest, or its program could not be ended: \
+                         press the emergency stop, then try again",
                     ),
                 }),
                 Then::Say => {
