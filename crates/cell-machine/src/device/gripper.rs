@@ -52,7 +52,7 @@ enum Hold {
     Holding {
         channels: Channels,
         low_since: Option<Timestamp>,
-        /// Highest vacuum so far, and since when it is well below that.
+        /// Highest vacuum so far, up to the one that was commanded, and since when it is well below that.
         best: f64,
         falls: Falls,
     },
@@ -103,6 +103,8 @@ struct Retry {
 pub struct Gripper {
     parameters: GripperParameters,
     hold: Hold,
+    /// The vacuum that was commanded last; 1 where none was since the start. A pump may overshoot it.
+    target: f64,
     waiting: VecDeque<(Vec<u16>, u16)>,
     outstanding: Option<Outstanding>,
     again: Option<Retry>,
@@ -122,6 +124,7 @@ impl Gripper {
         Gripper {
             parameters,
             hold: Hold::Empty,
+            target: 1.0,
             waiting: VecDeque::new(),
             outstanding: None,
             again: None,
@@ -156,6 +159,7 @@ impl Gripper {
                 }
                 let deadline = now + self.parameters.grip_within;
                 self.hold = Hold::Gripping { channels, deadline, good: 0 };
+                self.target = target;
                 self.write(channels, grip_word(target));
             }
             GripperCommand::Release { channels } => {
@@ -386,7 +390,7 @@ impl Gripper {
             }
             Hold::Holding { channels, low_since, best, falls } => {
                 let lowest = channels.lowest(vacuum);
-                *best = best.max(lowest);
+                *best = best.max(lowest.min(self.target));
                 let weak = lowest < *best - WEAKER_BY;
                 match *falls {
                     Falls::Since(since) if weak && now.since(since) > WEAK_AFTER => {
