@@ -87,7 +87,10 @@ pub enum JournalError {
         found: String,
     },
     /// A row that this program cannot have written.
-    #[error("journal {path}: column {column} holds {value:?}, which no celld writes")]
+    #[error(
+        "journal {path}: column {column} holds {value:?}, which no celld writes; `celld journal repair` keeps \
+         all other rows"
+    )]
     Damaged {
         /// The file.
         path: PathBuf,
