@@ -1,11 +1,12 @@
 //! The gripper: whether it answers, what hangs there, whether a person has confirmed it, who else commands
 //! it.
 //!
-//! In: [`GripperFacts`]. Out: lines. Pure. The device has no register that says what it is, so its identity
-//! rests on an answer that a VGC10 would give, on the maker's own service where that runs (reference:
-//! ur-interfaces 7.3), and on a person.
+//! In: [`GripperFacts`]. Out: lines. Pure. The device gives out its product code, firmware and serial number
+//! (Connectivity Guide), which do not prove that it hangs on this arm: that rests on a person, and on the
+//! maker's own service where it runs (reference: ur-interfaces 7.3).
 
 use crate::doctor::{Area, Line};
+use cell_machine::device::gripper_types::{ModbusFailure, VG10, VGC10};
 
 /// What was found at the gripper's address.
 #[derive(Clone, Debug, PartialEq)]
@@ -13,9 +14,11 @@ pub struct GripperFacts {
     /// Host, port and unit.
     pub address: String,
     /// Relative vacuum of both channels, or why there is none.
-    pub vacuum: Result<[f64; 2], String>,
+    pub vacuum: Result<[f64; 2], ModbusFailure>,
     /// The two control registers, where they can be read: mode in the high byte, target in the low one.
     pub control: Option<[u16; 2]>,
+    /// Which product it says it is; `None` where it has no such registers.
+    pub product: Option<Product>,
     /// What the maker's service (XML-RPC, port 41414) says of a VGC10, where it answers, and at which host.
     pub service: Option<(String, Option<bool>)>,
     /// Why it is taken for the gripper; `None` where no person has said so.
@@ -23,6 +26,20 @@ pub struct GripperFacts {
     /// A celld runs on the state folder, and reads the gripper.
     pub daemon: bool,
 }
+
+/// What the device says of itself.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Product {
+    /// Its code.
+    pub code: u16,
+    /// Firmware, as it stands in its two registers.
+    pub firmware: Option<[u16; 2]>,
+    /// Serial number, as it stands in its registers.
+    pub serial: Option<Vec<u16>>,
+}
+
+/// Modbus exception of a register that is not there.
+const NO_SUCH_REGISTER: u8 = 2;
 
 /// Why what answers is taken for the gripper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,6 +65,13 @@ impl GripperFacts {
     pub fn lines(&self) -> Vec<Line> {
         let vacuum = match &self.vacuum {
             Ok(vacuum) => *vacuum,
+            Err(ModbusFailure::Exception(NO_SUCH_REGISTER)) => {
+                let found =
+                    format!("{} answers, without the registers of the vacuum (258, 259)", self.address);
+                let hint = "see on the Compute Box's own web page which gripper and which firmware it has: \
+                            older firmware has the vacuum elsewhere, and has to be updated";
+                return vec![problem("Modbus", found, hint)];
+            }
             Err(cause) => {
                 let hint = "see that the Compute Box has power and its cable; `devices.gripper` in the \
                             configuration names its host, port (502) and unit (65 alone on the wrist, 66 or \
@@ -57,6 +81,7 @@ impl GripperFacts {
         };
         let mut lines = vec![Line::ok(Area::Gripper, "Modbus", format!("{} answers", self.address))];
         lines.push(vacuum_line(vacuum));
+        lines.extend(self.product.as_ref().map(product_line));
         lines.push(self.identity());
         lines.extend(self.other_master());
         lines
@@ -113,6 +138,30 @@ impl GripperFacts {
         }
         lines
     }
+}
+
+fn product_line(Product { code, firmware, serial }: &Product) -> Line {
+    let name = match *code {
+        VGC10 => "VGC10",
+        VG10 => "VG10",
+        other => {
+            let found = format!("product code {other:#04x}, which is neither a VGC10 nor a VG10");
+            return problem("product", found, "another product needs another driver");
+        }
+    };
+    let firmware = firmware.map_or_else(String::new, |[major, minor]| format!(", firmware {major}.{minor}"));
+    let serial = serial.as_ref().map_or_else(String::new, |words| format!(", serial {}", serial_text(words)));
+    Line::ok(Area::Gripper, "product", format!("{name}{firmware}{serial}"))
+}
+
+/// A serial number as text where its bytes are one, else in hexadecimal. How the device lays it out is not
+/// published.
+fn serial_text(words: &[u16]) -> String {
+    let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_be_bytes()).filter(|byte| *byte != 0).collect();
+    if !bytes.is_empty() && bytes.iter().all(u8::is_ascii_graphic) {
+        return bytes.iter().copied().map(char::from).collect();
+    }
+    words.iter().map(|word| format!("{word:04x}")).collect()
 }
 
 fn vacuum_line(vacuum: [f64; 2]) -> Line {

@@ -2,9 +2,10 @@
 
 use super::camera::{CameraFacts, CameraProblem, PictureFacts, References};
 use super::computer::ComputerFacts;
-use super::gripper::{Confirmed, GripperFacts};
+use super::gripper::{Confirmed, GripperFacts, Product};
 use super::robot::{DashboardFacts, LinkFault, PrimaryFacts, RobotFacts, RtdeFacts};
 use super::*;
+use cell_machine::device::gripper_types::ModbusFailure;
 use cell_machine::device::robot_types::InputsTaken;
 use cell_values::time::Duration;
 use cell_vision::observe::reference::{DriftLimits, ReferenceCheck, ReferenceError};
@@ -37,6 +38,7 @@ fn gripper() -> GripperFacts {
         address: "10.0.0.3:502, unit 65".into(),
         vacuum: Ok([0.0, 0.01]),
         control: Some([0, 0]),
+        product: Some(Product { code: 0x11, firmware: Some([1, 2]), serial: Some(vec![0x5347, 0x3132]) }),
         service: None,
         confirmed: Some(Confirmed::ByPerson),
         daemon: false,
@@ -155,8 +157,10 @@ fn each_fault_of_the_controller_has_one_line() {
 #[test]
 fn each_fault_of_the_gripper_has_one_line() {
     use Verdict::{Note, Problem};
-    let cases: [Case<GripperFacts>; 7] = [
-        (Problem, "Modbus", "unit", |f| f.vacuum = Err("refused".into())),
+    let cases: [Case<GripperFacts>; 9] = [
+        (Problem, "Modbus", "unit", |f| f.vacuum = Err(ModbusFailure::Connection("refused".into()))),
+        (Problem, "Modbus", "firmware", |f| f.vacuum = Err(ModbusFailure::Exception(2))),
+        (Problem, "product", "0x20", |f| f.product.as_mut().expect("a product").code = 0x20),
         (Problem, "vacuum", "celld recover", |f| f.vacuum = Ok([0.4, 0.0])),
         (Problem, "vacuum", "NaN", |f| f.vacuum = Ok([f64::NAN, 0.0])),
         (Problem, "identity", "celld confirm-gripper", |f| f.confirmed = None),
@@ -169,6 +173,11 @@ fn each_fault_of_the_gripper_has_one_line() {
         spoil(&mut facts);
         only(&facts.lines(), verdict, item, words);
     }
+    let product = |facts: GripperFacts| {
+        facts.lines().into_iter().find(|line| line.item == "product").map(|line| line.found)
+    };
+    assert_eq!(product(gripper()).as_deref(), Some("VGC10, firmware 1.2, serial SG12"));
+    assert_eq!(product(GripperFacts { product: None, ..gripper() }), None, "older firmware");
     let other = GripperFacts { service: Some(("h".into(), Some(false))), ..gripper() };
     assert!(other.lines().iter().any(|line| line.item == "identity" && line.verdict == Problem));
     let commanded = GripperFacts { control: Some([0x0128, 0]), daemon: true, ..gripper() };

@@ -4,10 +4,12 @@
 //! In: requests of unit 65: read holding registers (0x03), write one (0x06) or several (0x10), from several
 //! masters. Out: register values, or the exceptions the protocol has for what the device does not offer.
 //! Registers: 0 and 1 control of channels A and B (high byte 0 release, 1 grip, 2 idle; low byte target in
-//! per cent, more than 80 is taken as 80), 2 current limit in mA (up to 1000), 258 and 259 relative vacuum
-//! in per mille, read only. A lost connection leaves the last command active, as on the device. Source:
-//! reference drivers of the device; the answer to other units, and that of every unit where
-//! another gripper is on the hand (exception 0x0B), is our choice.
+//! per cent, more than 80 is taken as 80), 2 current limit in mA (up to 1000); read only: 258 and 259
+//! relative vacuum in per mille, 1536 product code, 1540 and 1541 firmware, 1545 to 1560 serial number. How
+//! firmware and serial number are laid out is not published; ours are made up. A lost connection leaves the
+//! last command active, as on the device. Source: Connectivity Guide, reference drivers of the device; the
+//! answer to other units, and that of every unit where another gripper is on the hand (exception 0x0B), is
+//! our choice.
 
 use crate::faults::link::LinkState;
 use crate::world::World;
@@ -23,6 +25,13 @@ pub const CONTROL_REGISTER: u16 = 0;
 pub const CURRENT_LIMIT_REGISTER: u16 = 2;
 /// Relative vacuum of channel A, per mille; B follows.
 pub const VACUUM_REGISTER: u16 = 258;
+/// Product code, that of a VGC10; firmware; serial number, two characters a register.
+const PRODUCT_REGISTER: u16 = 1536;
+const PRODUCT: u16 = 0x11;
+const FIRMWARE_REGISTERS: std::ops::RangeInclusive<u16> = 1540..=1541;
+const FIRMWARE: [u16; 2] = [1, 0];
+const SERIAL_REGISTERS: std::ops::RangeInclusive<u16> = 1545..=1560;
+const SERIAL: &[u8; 32] = b"sim-vgc10\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0";
 /// Highest current limit, mA.
 const HIGHEST_CURRENT_MA: u16 = 1000;
 
@@ -94,10 +103,25 @@ fn read(world: &World, first: u16, count: u16) -> Result<Vec<u16>, Exception> {
             _ => match (control_channel(address), vacuum_channel(address)) {
                 (Some(channel), _) => Ok(control_word(world, channel)),
                 (_, Some(channel)) => Ok(world.vacuum_reading_per_mille(channel)),
-                (None, None) => Err(Exception::IllegalAddress),
+                (None, None) => identity_word(address).ok_or(Exception::IllegalAddress),
             },
         })
         .collect()
+}
+
+/// What the device says of itself.
+fn identity_word(address: u16) -> Option<u16> {
+    let place = |first: u16| usize::from(address - first);
+    if address == PRODUCT_REGISTER {
+        Some(PRODUCT)
+    } else if FIRMWARE_REGISTERS.contains(&address) {
+        FIRMWARE.get(place(*FIRMWARE_REGISTERS.start())).copied()
+    } else if SERIAL_REGISTERS.contains(&address) {
+        let (pairs, _) = SERIAL.as_chunks::<2>();
+        pairs.get(place(*SERIAL_REGISTERS.start())).map(|pair| u16::from_be_bytes(*pair))
+    } else {
+        None
+    }
 }
 
 /// Writes all or nothing: every value is checked before the first takes effect.
@@ -194,6 +218,9 @@ mod tests {
         let vacuum = client.read_holding_registers(258, 2).await.unwrap().unwrap();
         assert!((112..=128).contains(&vacuum[0]) && vacuum[1] <= 8, "{vacuum:?}");
         assert_eq!(client.read_holding_registers(0, 3).await.unwrap().unwrap(), [0x013C, 0x0200, 500]);
+        assert_eq!(client.read_holding_registers(1536, 1).await.unwrap().unwrap(), [0x11]);
+        assert_eq!(client.read_holding_registers(1545, 2).await.unwrap().unwrap(), [0x7369, 0x6d2d]);
+        assert_eq!(client.read_holding_registers(1545, 16).await.unwrap().unwrap().len(), 16);
         client.write_single_register(2, 900).await.unwrap().unwrap();
         client.write_single_register(1, 0x01FF).await.unwrap().unwrap();
         assert_eq!(client.read_holding_registers(1, 2).await.unwrap().unwrap(), [0x0150, 900]);

@@ -5,10 +5,12 @@
 use crate::config::cell::{CellConfig, Devices};
 use crate::config::sessions::gripper_address;
 use crate::daemon::sockets::{exchange, resolve};
-use crate::doctor::gripper::{Confirmed, GripperFacts};
+use crate::doctor::gripper::{Confirmed, GripperFacts, Product};
 use crate::jobs::state::StateFolder;
 use cell_machine::device::gripper::vacuum_of;
-use cell_machine::device::gripper_types::{ModbusRequest, VACUUM};
+use cell_machine::device::gripper_types::{
+    CONTROL, FIRMWARE, ModbusFailure, ModbusRequest, PRODUCT, SERIAL, SERIAL_COUNT, VACUUM,
+};
 use std::time::Duration;
 use tokio_modbus::prelude::Slave;
 
@@ -26,40 +28,52 @@ const ANSWER_MAX: u64 = 64 * 1024;
 pub fn facts(config: &CellConfig, state: &StateFolder) -> GripperFacts {
     let devices = &config.devices;
     let address = gripper_address(devices);
-    let (vacuum, control) = registers(devices);
+    let Registers { vacuum, control, product } = registers(devices);
     let confirmed = match config.simulation {
         Some(_) => Some(Confirmed::Simulation),
         None => state.gripper_confirmed(&address).then_some(Confirmed::ByPerson),
     };
     let service = service(devices);
-    GripperFacts { address, vacuum, control, service, confirmed, daemon: false }
+    GripperFacts { address, vacuum, control, product, service, confirmed, daemon: false }
 }
 
-/// Vacuum of both channels, and the control registers where the device gives them out.
-fn registers(devices: &Devices) -> (Result<[f64; 2], String>, Option<[u16; 2]>) {
+/// What is read of the device. Beside the vacuum only what it gives out.
+struct Registers {
+    vacuum: Result<[f64; 2], ModbusFailure>,
+    control: Option<[u16; 2]>,
+    product: Option<Product>,
+}
+
+fn registers(devices: &Devices) -> Registers {
+    let unread =
+        |cause| Registers { vacuum: Err(ModbusFailure::Connection(cause)), control: None, product: None };
     let address = match resolve(&devices.gripper_host, devices.gripper_port) {
         Ok(address) => address,
-        Err(cause) => return (Err(cause), None),
+        Err(cause) => return unread(cause),
     };
     let runtime = match tokio::runtime::Builder::new_current_thread().enable_all().build() {
         Ok(runtime) => runtime,
-        Err(error) => return (Err(error.to_string()), None),
+        Err(error) => return unread(error.to_string()),
     };
     let unit = Slave(devices.gripper_unit);
     runtime.block_on(async {
         let mut connection = None;
-        let mut read = async |first| {
-            let request = ModbusRequest::Read { address: first, count: 2 };
+        let mut read = async |first, count| {
+            let request = ModbusRequest::Read { address: first, count };
             let exchange = exchange(&mut connection, (address, unit), request, &|_| {});
-            match tokio::time::timeout(ANSWER_WITHIN, exchange).await {
-                Ok(answer) => answer.map_err(|failure| failure.to_string()),
-                Err(_) => Err(format!("no answer within {} s", ANSWER_WITHIN.as_secs())),
-            }
+            tokio::time::timeout(ANSWER_WITHIN, exchange).await.unwrap_or(Err(ModbusFailure::Timeout))
         };
-        let vacuum = read(VACUUM).await;
-        let vacuum = vacuum.and_then(|words| vacuum_of(&words).map_err(|failure| failure.to_string()));
-        let control = if vacuum.is_ok() { read(0).await.ok() } else { None };
-        (vacuum, control.and_then(|words| words.try_into().ok()))
+        let vacuum = read(VACUUM, 2).await.and_then(|words| vacuum_of(&words));
+        // After a failure without an answer the next read would wait as long again.
+        if matches!(vacuum, Err(ModbusFailure::Timeout | ModbusFailure::Connection(_))) {
+            return Registers { vacuum, control: None, product: None };
+        }
+        let control = read(CONTROL, 2).await.ok().and_then(|words| words.try_into().ok());
+        let code = read(PRODUCT, 1).await.ok().and_then(|words| words.first().copied());
+        let firmware = read(FIRMWARE, 2).await.ok().and_then(|words| words.try_into().ok());
+        let serial = read(SERIAL, SERIAL_COUNT).await.ok();
+        let product = code.map(|code| Product { code, firmware, serial });
+        Registers { vacuum, control, product }
     })
 }
 

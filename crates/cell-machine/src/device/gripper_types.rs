@@ -12,6 +12,18 @@ use std::fmt;
 pub const CONTROL: u16 = 0;
 /// First vacuum register, channel A; B follows. Per mille.
 pub const VACUUM: u16 = 258;
+/// Product code (Connectivity Guide).
+pub const PRODUCT: u16 = 1536;
+/// Firmware, two registers.
+pub const FIRMWARE: u16 = 1540;
+/// Serial number, 16 registers.
+pub const SERIAL: u16 = 1545;
+/// Registers of the serial number.
+pub const SERIAL_COUNT: u16 = 16;
+/// Product code of a VGC10.
+pub const VGC10: u16 = 0x11;
+/// Product code of a VG10, which has the same registers.
+pub const VG10: u16 = 0x10;
 /// Modbus unit of a single or primary tool.
 pub const UNIT: u8 = 65;
 /// Highest vacuum that may be requested.
