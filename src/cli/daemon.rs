@@ -370,17 +370,26 @@ fn opened(begin: &Begin, name: String, anew: &Anew, stop: &Arc<AtomicBool>) -> R
         reported(status);
     };
     let keeper = keeper.published(Box::new(publish), remarks).sharing(shared.name());
+    let orders = sources(in_folder.with_sign_ins(sign_ins), at_page);
+    Ok(Opened { keeper, orders, feed, film })
+}
+
+/// The folder, the page, and the stops in the folder on a thread of their own.
+fn sources(in_folder: StateOrders, at_page: impl Orders) -> Sources {
     let stops = in_folder.stops();
-    let mut orders: Vec<Box<dyn Orders>> =
-        vec![Box::new(in_folder.with_sign_ins(sign_ins)), Box::new(at_page)];
+    let mut orders: Vec<Box<dyn Orders>> = vec![Box::new(in_folder), Box::new(at_page)];
     match stops {
         Ok(stops) => orders.push(Box::new(stops)),
         Err(error) => {
-            tracing::warn!(error = %chain(&error), "stops may wait behind other orders in the folder");
+            let error = chain(&error);
+            tracing::warn!(
+                error,
+                "the kernel does not report new command files, so stops may be late: raise \
+                 fs.inotify.max_user_instances and restart celld"
+            );
         }
     }
-    let orders = Sources::of(orders);
-    Ok(Opened { keeper, orders, feed, film })
+    Sources::of(orders)
 }
 
 fn identities(arm: &Arm, measured: &Measured) -> Identities {

@@ -26,8 +26,8 @@ use std::time::{Duration, Instant};
 /// Commands other than stops wait in the folder while so many are not answered.
 const UNANSWERED_MAX: usize = 64;
 
-/// Commands other than stops are taken for so long at a time. With many clients at work the system may wait
-/// 20 ms for the folder's lock with each; an intake that is silent for 1 s stops the cell.
+/// Time limit of one look. With many clients each claim may wait 20 ms for the folder's lock, and the cell
+/// stops after 1 s without a look.
 const TAKES_FOR: Duration = Duration::from_millis(50);
 
 /// Who signs people in at the page.
@@ -43,7 +43,7 @@ pub trait SignInHandler: Send {
 enum Reader {
     /// All, by listing the folder.
     Listing(Inbox),
-    /// Stops, as soon as the kernel reports them.
+    /// Stops only, by the names that inotify reports.
     Stops(ReportedStops),
 }
 
@@ -77,15 +77,12 @@ impl StateOrders {
         StateOrders { reader, last: 0, unanswered, clerk, letters: None, writes: None }
     }
 
-    /// The stops in the same folder as a source of their own, which no other command can hold up.
+    /// A second source, for the stops in the same folder. It does not wait for the folder's lock.
     ///
     /// # Errors
     /// The system gives no watch on the folder; then stops are taken with all the others.
     pub fn stops(&self) -> Result<StateOrders, FileError> {
-        let inbox = match &self.reader {
-            Reader::Listing(inbox) => inbox,
-            Reader::Stops(stops) => stops.inbox(),
-        };
+        let (Reader::Listing(inbox) | Reader::Stops(ReportedStops { inbox, .. })) = &self.reader;
         let stops = Reader::Stops(inbox.reported_stops()?);
         Ok(StateOrders::reading(stops, Clerk { memory: None, sign_ins: None }))
     }

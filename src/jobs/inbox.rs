@@ -8,21 +8,19 @@
 
 use crate::jobs::command::{Command, Envelope, MAX_BYTES, STOP_MARK, SUFFIX, sender_of};
 use cell_edge::files::{FileError, create_folder, write_answer};
-use cell_edge::mailbox::{Arrivals, FileId, Letter, Mailbox, SenderLock};
+use cell_edge::mailbox::{Arrivals, FileNumber, Letter, Mailbox, SenderLock};
 use cell_machine::intake::Unreachable;
 use cell_machine::orders::Reply;
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// New files read per look, to find stops without the mark in their names.
 const LOOKED_INTO_AT_ONCE: usize = 32;
 
 /// Commands other than stops that are taken at a time.
 const TAKEN_AT_ONCE: usize = 32;
-
-/// Stops that are remembered as handed on; their files are removed with the answer, a moment later.
-const HANDED_ON_MAX: usize = 1024;
 
 /// The answer to a command that was left for an earlier daemon.
 pub const FOR_ANOTHER: &str = "this command was meant for a daemon that has ended";
@@ -40,11 +38,11 @@ pub trait Folder {
     /// Its name still leads to it.
     fn is_in_place(&self) -> bool;
 
-    /// The names that end in `suffix`, in order.
+    /// The names that end in `suffix`, in order, each with its file's number.
     ///
     /// # Errors
     /// The folder cannot be listed.
-    fn names(&self, suffix: &str) -> Result<Vec<String>, FileError>;
+    fn names(&self, suffix: &str) -> Result<Vec<(String, FileNumber)>, FileError>;
 
     /// The plain file of this name.
     ///
@@ -57,6 +55,9 @@ pub trait Folder {
     /// # Errors
     /// The system refuses.
     fn claim(&self, name: &str) -> Result<bool, FileError>;
+
+    /// The file of this lock is still in the folder.
+    fn lies_there(&self, lock: &Self::Lock) -> bool;
 }
 
 impl Folder for Mailbox {
@@ -70,7 +71,7 @@ impl Folder for Mailbox {
         Mailbox::is_in_place(self)
     }
 
-    fn names(&self, suffix: &str) -> Result<Vec<String>, FileError> {
+    fn names(&self, suffix: &str) -> Result<Vec<(String, FileNumber)>, FileError> {
         Mailbox::names(self, suffix)
     }
 
@@ -81,19 +82,25 @@ impl Folder for Mailbox {
     fn claim(&self, name: &str) -> Result<bool, FileError> {
         Mailbox::claim(self, name)
     }
+
+    fn lies_there(&self, lock: &SenderLock) -> bool {
+        lock.lies_there()
+    }
 }
 
 /// A command that the daemon took, to be answered.
 #[derive(Clone, Debug)]
 pub struct Taken<L = SenderLock> {
-    /// Which file it was.
-    pub id: FileId,
     /// What is requested.
     pub command: Command,
     /// Who gave it: the system's number of the owner of its file.
     pub uid: u32,
     /// When it was given, s since the machine started, as its sender says.
     pub boot_s: f64,
+    /// Which file it was.
+    number: FileNumber,
+    /// Of a stop; dropped before the lock, as long as which nothing else has the file's number.
+    handed_on: Option<Arc<HandedOn>>,
     /// Held while its sender waits for the answer.
     pub lock: L,
     /// Where its file lay.
@@ -106,7 +113,9 @@ impl Taken {
     /// # Errors
     /// The answer cannot be written.
     pub fn answer(&self, reply: &Reply) -> Result<(), FileError> {
-        if self.command.only_stops() {
+        // Its sender may have left another one under the same name.
+        let same = || std::fs::symlink_metadata(&self.path).is_ok_and(|now| now.ino() == self.number);
+        if self.command.only_stops() && same() {
             let _ = std::fs::remove_file(&self.path);
         }
         answer(&self.path, self.uid, reply)
@@ -157,22 +166,31 @@ enum Known {
     Waits,
 }
 
-/// Stops that were handed on, by listing or by report: each counts once.
+/// The files of stops that were handed on and are not answered yet, by whichever reader: each counts once.
 #[derive(Clone, Debug, Default)]
-struct HandedOn(Arc<Mutex<VecDeque<FileId>>>);
+struct Unanswered(Arc<Mutex<BTreeSet<FileNumber>>>);
 
-impl HandedOn {
-    /// Notes a stop; false if it is noted already.
-    fn note(&self, id: FileId) -> bool {
-        let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if all.contains(&id) {
-            return false;
-        }
-        if all.len() >= HANDED_ON_MAX {
-            all.pop_front();
-        }
-        all.push_back(id);
-        true
+impl Unanswered {
+    fn numbers(&self) -> MutexGuard<'_, BTreeSet<FileNumber>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Notes a stop until the result is dropped; `None` if it is noted already.
+    fn note(&self, number: FileNumber) -> Option<Arc<HandedOn>> {
+        self.numbers().insert(number).then(|| Arc::new(HandedOn { number, among: self.clone() }))
+    }
+}
+
+/// A stop that was handed on, until it is answered.
+#[derive(Debug)]
+struct HandedOn {
+    number: FileNumber,
+    among: Unanswered,
+}
+
+impl Drop for HandedOn {
+    fn drop(&mut self) {
+        self.among.numbers().remove(&self.number);
     }
 }
 
@@ -181,8 +199,9 @@ impl HandedOn {
 pub struct Inbox<F = Mailbox> {
     folder: F,
     daemon: String,
-    known: BTreeMap<String, Known>,
-    handed_on: HandedOn,
+    /// By name and number: a sender may use a name again.
+    known: BTreeMap<(String, FileNumber), Known>,
+    unanswered: Unanswered,
 }
 
 impl Inbox {
@@ -194,7 +213,7 @@ impl Inbox {
     pub fn open(folder: &Path, daemon: impl Into<String>) -> Result<Inbox, FileError> {
         create_folder(folder)?;
         let mailbox = Mailbox::open(folder)?;
-        for name in mailbox.names("")? {
+        for (name, _) in mailbox.names("")? {
             if !folder.join(&name).is_dir() {
                 mailbox.claim(&name)?;
             }
@@ -209,34 +228,35 @@ impl Inbox {
     pub fn reported_stops(&self) -> Result<ReportedStops, FileError> {
         let folder = Mailbox::open(self.folder.path())?;
         let arrivals = folder.arrivals()?;
-        let (daemon, handed_on) = (self.daemon.clone(), self.handed_on.clone());
-        Ok(ReportedStops { inbox: Inbox { folder, daemon, known: BTreeMap::new(), handed_on }, arrivals })
+        let inbox = Inbox { unanswered: self.unanswered.clone(), ..Inbox::of(folder, self.daemon.clone()) };
+        Ok(ReportedStops { inbox, arrivals, names: VecDeque::new() })
     }
 }
 
 /// The stops whose files the kernel reports as they come.
 #[derive(Debug)]
 pub struct ReportedStops {
-    inbox: Inbox,
+    /// The reader of the folder.
+    pub inbox: Inbox,
     arrivals: Arrivals,
+    /// Reported, and not looked into yet.
+    names: VecDeque<String>,
 }
 
 impl ReportedStops {
-    /// The reader beneath.
-    pub fn inbox(&self) -> &Inbox {
-        &self.inbox
-    }
-
-    /// Those since the last call that nobody has handed on.
-    pub fn take(&self) -> Vec<Taken> {
-        self.inbox.take_reported_stops(&self.arrivals.names(SUFFIX))
+    /// Those since the last call that nobody has handed on; of many the rest comes with the next calls.
+    pub fn take(&mut self) -> Vec<Taken> {
+        self.names.extend(self.arrivals.names(SUFFIX).into_iter().filter(|name| name.contains(STOP_MARK)));
+        let count = self.names.len().min(LOOKED_INTO_AT_ONCE);
+        let names: Vec<String> = self.names.drain(..count).collect();
+        self.inbox.take_reported_stops(&names)
     }
 }
 
 impl<F: Folder> Inbox<F> {
     /// Reads this folder for the daemon called `daemon`.
     pub fn of(folder: F, daemon: impl Into<String>) -> Inbox<F> {
-        Inbox { folder, daemon: daemon.into(), known: BTreeMap::new(), handed_on: HandedOn::default() }
+        Inbox { folder, daemon: daemon.into(), known: BTreeMap::new(), unanswered: Unanswered::default() }
     }
 
     /// The folder.
@@ -244,23 +264,30 @@ impl<F: Folder> Inbox<F> {
         &self.folder
     }
 
-    /// Takes the stops among the files of these names, which have just come. Only names with the mark of a
-    /// stop are looked up: to look for a file that is gone again the system waits for the folder's lock.
+    /// Takes the stops among newly reported files. Only names with the mark of a stop are opened: to open a
+    /// file that is gone again waits for the folder's lock.
     pub fn take_reported_stops(&self, names: &[String]) -> Vec<Taken<F::Lock>> {
         let marked = names.iter().filter(|name| name.contains(STOP_MARK));
-        let stops = marked.filter_map(|name| self.read(name).ok()?.ok());
-        stops.filter(|taken| taken.command.only_stops() && self.handed_on.note(taken.id)).collect()
+        let read = marked.filter_map(|name| self.read(name).ok()?.ok());
+        read.filter(|taken| taken.command.only_stops()).filter_map(|stop| self.first(stop)).collect()
+    }
+
+    /// A stop that neither reader has handed on.
+    fn first(&self, mut stop: Taken<F::Lock>) -> Option<Taken<F::Lock>> {
+        stop.handed_on = Some(self.unanswered.note(stop.number)?);
+        // One that was answered since it was read is gone from the folder.
+        self.folder.lies_there(&stop.lock).then_some(stop)
     }
 
     /// Takes every stop, and up to `room` other commands, in turn by sender and by time within a sender: a
-    /// script with a thousand commands delays only its own. Whatever happens to one file, what was taken
-    /// besides is returned.
+    /// script with a thousand commands delays only its own. With stops come no others: those may wait for
+    /// the folder's lock, and what was given before a stop does not count after it. Whatever happens to one
+    /// file, what was taken besides is returned.
     pub fn take(&mut self, room: usize) -> Mail<F::Lock> {
         self.take_while(room, || true)
     }
 
-    /// The same, but after `in_time` has become false only stops: each of the others may wait for the
-    /// folder's lock.
+    /// Like [`Inbox::take`], but after the first takes no further order once `in_time` is false.
     pub fn take_while(&mut self, room: usize, in_time: impl Fn() -> bool) -> Mail<F::Lock> {
         let mut mail = Mail::default();
         let folder = || self.folder.path().display().to_string();
@@ -268,41 +295,47 @@ impl<F: Folder> Inbox<F> {
             mail.fault = Some(Unreachable::FolderGone(folder()));
             return mail;
         }
-        let names = match self.folder.names(SUFFIX) {
-            Ok(names) => names,
+        let files = match self.folder.names(SUFFIX) {
+            Ok(files) => files,
             Err(error) => {
                 mail.fault = Some(Unreachable::Unreadable(folder(), error.reason()));
                 return mail;
             }
         };
-        self.known.retain(|name, _| names.binary_search(name).is_ok());
-        self.take_stops(&names, &mut mail);
-        let waiting = names.iter().filter(|name| self.known.get(*name) == Some(&Known::Waits));
-        for name in in_turn(waiting).into_iter().take(room.min(TAKEN_AT_ONCE)).take_while(|_| in_time()) {
+        self.known.retain(|file, _| files.binary_search(file).is_ok());
+        if self.take_stops(&files, &mut mail) {
+            return mail;
+        }
+        let waiting = files.iter().filter(|file| self.known.get(*file) == Some(&Known::Waits));
+        let turns = in_turn(waiting).into_iter().take(room.min(TAKEN_AT_ONCE));
+        for (count, (name, _)) in turns.enumerate() {
+            if count > 0 && !in_time() {
+                break;
+            }
             self.take_one(name, &mut mail);
         }
         mail
     }
 
-    /// Looks into new files and takes the stops among them.
-    fn take_stops(&mut self, names: &[String], mail: &mut Mail<F::Lock>) {
-        let (stops, others): (Vec<&String>, Vec<&String>) = names
-            .iter()
-            .filter(|name| !self.known.contains_key(*name))
-            .partition(|name| name.contains(STOP_MARK));
+    /// Looks into new files and takes the stops among them that were not reported; true if there are any,
+    /// reported or not.
+    fn take_stops(&mut self, files: &[(String, FileNumber)], mail: &mut Mail<F::Lock>) -> bool {
+        let new = files.iter().filter(|file| !self.known.contains_key(*file));
+        let (stops, others): (Vec<_>, Vec<_>) = new.partition(|(name, _)| name.contains(STOP_MARK));
         let others = in_turn(others.into_iter());
-        for name in stops.into_iter().chain(others).take(LOOKED_INTO_AT_ONCE) {
-            match self.read(name) {
+        let mut found = false;
+        for file in stops.into_iter().chain(others).take(LOOKED_INTO_AT_ONCE) {
+            match self.read(&file.0) {
                 Ok(Ok(taken)) if taken.command.only_stops() => {
-                    self.known.insert(name.clone(), Known::Obeyed);
-                    if self.handed_on.note(taken.id) {
-                        mail.taken.push(taken);
-                    }
+                    found = true;
+                    self.known.insert((file.0.clone(), taken.number), Known::Obeyed);
+                    mail.taken.extend(self.first(taken));
                 }
-                Ok(_) => _ = self.known.insert(name.clone(), Known::Waits),
+                Ok(_) => _ = self.known.insert(file.clone(), Known::Waits),
                 Err(fault) => mail.fault = fault.or(mail.fault.take()),
             }
         }
+        found
     }
 
     /// Takes a command that is no stop: removed first, so that its sender cannot take it back any more.
@@ -336,8 +369,8 @@ impl<F: Folder> Inbox<F> {
             Err(_) => refused(letter.uid, NO_COMMAND),
             Ok(Envelope { daemon, .. }) if daemon != self.daemon => refused(letter.uid, FOR_ANOTHER),
             Ok(Envelope { boot_s, command, .. }) => {
-                let Letter { id, uid, lock, .. } = letter;
-                Ok(Ok(Taken { id, command, uid, boot_s, lock, path }))
+                let Letter { number, uid, lock, .. } = letter;
+                Ok(Ok(Taken { command, uid, boot_s, number, handed_on: None, lock, path }))
             }
         }
     }
@@ -347,19 +380,19 @@ impl<F: Folder> Inbox<F> {
     }
 }
 
-/// The first of each sender's files, then the second of each, and so on; `names` are in order.
-fn in_turn<'a>(names: impl Iterator<Item = &'a String>) -> Vec<&'a String> {
+/// The first of each sender's files, then the second of each, and so on; `files` are in order.
+fn in_turn<'a>(files: impl Iterator<Item = &'a (String, FileNumber)>) -> Vec<&'a (String, FileNumber)> {
     let mut before: HashMap<&str, usize> = HashMap::new();
-    let mut turns: Vec<(usize, &String)> = names
-        .map(|name| {
-            let turn = before.entry(sender_of(name)).or_default();
+    let mut turns: Vec<(usize, &(String, FileNumber))> = files
+        .map(|file| {
+            let turn = before.entry(sender_of(&file.0)).or_default();
             *turn += 1;
-            (*turn, name)
+            (*turn, file)
         })
         .collect();
     // Stable: within a turn they stay in order.
     turns.sort_by_key(|(turn, _)| *turn);
-    turns.into_iter().map(|(_, name)| name).collect()
+    turns.into_iter().map(|(_, file)| file).collect()
 }
 
 /// An answer may be a secret (`celld open`): it is for the user who gave the command, and another user than
@@ -371,171 +404,4 @@ fn answer(command: &Path, requested_by: u32, reply: &Reply) -> Result<(), FileEr
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::jobs::command::{Given, Sent};
-    use std::os::unix::fs::MetadataExt;
-
-    fn given(unix_s: f64) -> Given {
-        Given { unix_s, boot_s: 100.0 }
-    }
-
-    fn folder() -> tempfile::TempDir {
-        tempfile::tempdir().unwrap()
-    }
-
-    fn commands(mail: &Mail) -> Vec<&Command> {
-        mail.taken.iter().map(|taken| &taken.command).collect()
-    }
-
-    #[test]
-    fn commands_arrive_once_in_order_and_are_answered() {
-        let folder = folder();
-        let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
-        let approve = Command::Approve { id: "tidy".into(), plan: 3 };
-        let first = Sent::send(folder.path(), "d1", &Command::Arm, given(10.0)).unwrap();
-        let _second = Sent::send(folder.path(), "d1", &approve, given(10.0)).unwrap();
-        assert_eq!(first.poll().unwrap(), None);
-        let mail = inbox.take(9);
-        assert_eq!(commands(&mail), [&Command::Arm, &approve]);
-        assert!(inbox.take(9).taken.is_empty());
-        let reply = Reply { accepted: false, message: "the robot is in local mode".into() };
-        mail.taken[0].answer(&reply).unwrap();
-        // The client is the daemon's own user here: an answer may be a secret.
-        let mode = std::fs::metadata(&first.reply).unwrap().mode() & 0o777;
-        assert_eq!(mode, 0o600);
-        assert_eq!(first.poll().unwrap(), Some(reply));
-        assert_eq!(first.poll().unwrap(), None);
-    }
-
-    #[test]
-    fn a_command_waits_behind_one_of_each_other_sender_and_not_behind_all_of_a_script() {
-        let folder = folder();
-        let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
-        let text = r#"{"daemon": "d1", "boot_s": 100.0, "command": {"do": "resume"}}"#;
-        let write = |name: String| std::fs::write(folder.path().join(name), text).unwrap();
-        (0..100).for_each(|n| write(format!("1-7-{n:05}.command")));
-        (0..100).for_each(|n| write(format!("{n:04}.command")));
-        let arm = Sent::send(folder.path(), "d1", &Command::Arm, given(1e9)).unwrap();
-        let later = Sent::send(folder.path(), "d1", &Command::ConfirmGripper, given(1e9)).unwrap();
-        // All are new in the first looks.
-        let taken: Vec<Command> = (0..3).flat_map(|_| inbox.take(9).taken).map(|one| one.command).collect();
-        let [first, second] = [Command::Arm, Command::ConfirmGripper]
-            .map(|command| taken.iter().position(|one| *one == command).expect("taken"));
-        assert!(first < 3 && first < second && second < 6, "{taken:?}");
-        drop((arm, later));
-    }
-
-    #[test]
-    fn a_stop_is_taken_before_a_thousand_other_commands() {
-        let folder = folder();
-        let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
-        let text = r#"{"daemon": "d1", "boot_s": 100.0, "command": {"do": "resume"}}"#;
-        (0..1000).for_each(|n| std::fs::write(folder.path().join(format!("{n:04}.command")), text).unwrap());
-        let abort = Sent::send(folder.path(), "d1", &Command::Abort, given(10.0)).unwrap();
-        let mail = inbox.take(3);
-        assert_eq!(commands(&mail), [&Command::Abort, &Command::Resume, &Command::Resume, &Command::Resume]);
-        assert!(abort.lies_there() && !commands(&inbox.take(3)).contains(&&Command::Abort), "obeyed once");
-        mail.taken[0].answer(&Reply::accept("stopped")).unwrap();
-        assert!(!abort.lies_there() && abort.poll().unwrap().is_some_and(|reply| reply.accepted));
-        // One that nothing in its name marks is found within a few looks.
-        std::fs::write(folder.path().join("9999.command"), text.replace("resume", "abort")).unwrap();
-        let found = (0..40).any(|_| commands(&inbox.take(0)).contains(&&Command::Abort));
-        assert!(found, "among a thousand others");
-    }
-
-    #[test]
-    fn a_stop_is_handed_on_by_one_of_two_readers() {
-        let folder = folder();
-        let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
-        let stops = inbox.reported_stops().unwrap();
-        let reported = || stops.take().into_iter().map(|one| one.command).collect::<Vec<_>>();
-        let send = |command| Sent::send(folder.path(), "d1", &command, given(10.0)).unwrap();
-        let (_first, _arm) = (send(Command::Abort), send(Command::Arm));
-        assert_eq!(reported(), [Command::Abort], "and nothing else");
-        assert_eq!(commands(&inbox.take(9)), [&Command::Arm]);
-        let _second = send(Command::Abort);
-        assert_eq!(commands(&inbox.take(9)), [&Command::Abort]);
-        assert!(reported().is_empty(), "listed before");
-        // The same name once more, as a script may choose it.
-        for name in inbox.folder.names(SUFFIX).unwrap() {
-            let (path, hidden) = (folder.path().join(name), folder.path().join(".again"));
-            std::fs::copy(&path, &hidden).unwrap();
-            std::fs::rename(&hidden, &path).unwrap();
-            assert_eq!(reported(), [Command::Abort]);
-        }
-        assert!(inbox.take(9).taken.is_empty());
-    }
-
-    #[test]
-    fn the_daemon_sees_whether_the_sender_still_waits() {
-        let folder = folder();
-        let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
-        let sent = Sent::send(folder.path(), "d1", &Command::Arm, given(10.0)).unwrap();
-        let mail = inbox.take(1);
-        assert!(mail.taken[0].lock.is_held());
-        let last_word = sent.let_go();
-        assert!(!mail.taken[0].lock.is_held());
-        mail.taken[0].answer(&Reply::refuse("too late")).unwrap();
-        assert_eq!(last_word.poll().unwrap(), Some(Reply::refuse("too late")));
-    }
-
-    #[test]
-    fn an_old_command_never_reaches_the_next_daemon() {
-        let folder = folder();
-        let late = Sent::send(folder.path(), "d1", &Command::Arm, given(10.0)).unwrap();
-        let mut inbox = Inbox::open(folder.path(), "d2").unwrap();
-        assert!(inbox.take(9).taken.is_empty(), "cleared at start");
-        let later = Sent::send(folder.path(), "d1", &Command::Abort, given(11.0)).unwrap();
-        let mail = inbox.take(9);
-        assert!(mail.taken.is_empty(), "meant for the daemon before");
-        mail.refused[0].answer().unwrap();
-        assert!(!later.poll().unwrap().unwrap().accepted);
-        assert!(!late.withdraw().unwrap());
-    }
-
-    #[test]
-    fn rubbish_is_removed_and_never_obeyed() {
-        let folder = folder();
-        let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
-        for (name, text) in [
-            ("1.command", "arm"),
-            ("2.command", r#"{"daemon": "d1", "boot_s": 100.0, "command": {"do": "fly"}}"#),
-            ("3.command", r#"{"daemon": "d1", "boot_s": 100.0, "command": {"do": "arm"}, "extra": 1}"#),
-            ("5.command", r#"{"daemon": "d1", "command": {"do": "arm"}}"#),
-            ("6.command", r#"{"daemon": "d1", "boot_s": 1.0, "command": {"do": "approve", "id": "a"}}"#),
-        ] {
-            std::fs::write(folder.path().join(name), text).unwrap();
-        }
-        std::os::unix::fs::symlink("/dev/zero", folder.path().join("4.command")).unwrap();
-        let mail = inbox.take(9);
-        assert!(mail.taken.is_empty() && mail.refused.len() == 6 && mail.fault.is_none(), "{mail:?}");
-        assert!(inbox.folder.names(SUFFIX).unwrap().is_empty());
-    }
-
-    #[test]
-    fn a_command_can_be_taken_back_until_the_daemon_has_it() {
-        let folder = folder();
-        let mut inbox = Inbox::open(folder.path(), "d1").unwrap();
-        let sent = Sent::send(folder.path(), "d1", &Command::Park, given(10.0)).unwrap();
-        assert!(inbox.take(0).taken.is_empty() && sent.lies_there());
-        assert!(sent.withdraw().unwrap());
-        assert!(inbox.take(9).taken.is_empty());
-        let sent = Sent::send(folder.path(), "d1", &Command::Park, given(10.0)).unwrap();
-        assert_eq!(commands(&inbox.take(9)), [&Command::Park]);
-        assert!(!sent.withdraw().unwrap());
-    }
-
-    #[test]
-    fn a_folder_that_is_gone_is_a_fault_and_takes_nothing_back() {
-        let root = folder();
-        let path = root.path().join("commands");
-        let mut inbox = Inbox::open(&path, "d1").unwrap();
-        let _abort = Sent::send(&path, "d1", &Command::Abort, given(10.0)).unwrap();
-        std::fs::rename(&path, root.path().join("aside")).unwrap();
-        let mail = inbox.take(9);
-        assert!(matches!(mail.fault, Some(Unreachable::FolderGone(_))) && mail.taken.is_empty());
-        std::fs::rename(root.path().join("aside"), &path).unwrap();
-        assert_eq!(commands(&inbox.take(9)), [&Command::Abort]);
-    }
-}
+mod tests;

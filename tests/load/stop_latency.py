@@ -208,7 +208,7 @@ def measure(args, cell, relay, orders):
     be_prompt()
     renames, stops, others = [], [], []
     jobs = misses = stood = lost = 0
-    while len(stops) + lost < args.stops:
+    while len(renames) < args.stops:
         began, answer, seconds = orders.give("arm")
         others.append(seconds)
         moves = answer and answer["accepted"] and relay.first_after(MOVE, began, NO_JOB_AFTER)
@@ -238,7 +238,7 @@ def measure(args, cell, relay, orders):
             lost += 1
         lock.close()
         if len(renames) % 10 == 0:
-            print(f"  {len(stops)} of {args.stops}", flush=True)
+            print(f"  {len(renames)} of {args.stops}", flush=True)
     return renames, stops, others, stood, lost
 
 

@@ -39,22 +39,21 @@ impl SenderLock {
             }
         }
     }
+
+    /// The file is still in its folder.
+    pub fn lies_there(&self) -> bool {
+        self.0.metadata().is_ok_and(|metadata| metadata.nlink() > 0)
+    }
 }
 
-/// A file's identity: another file of the same name, before or after, has another one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct FileId {
-    /// The system's number of the file.
-    pub inode: u64,
-    /// When it was renamed into place, ns.
-    pub changed_ns: i128,
-}
+/// The system's number of a file (inode). As long as the file is open it has no other one.
+pub type FileNumber = u64;
 
 /// A file that was left.
 #[derive(Debug)]
 pub struct Letter<L = SenderLock> {
     /// Which file it is.
-    pub id: FileId,
+    pub number: FileNumber,
     /// Its text.
     pub text: String,
     /// The system's number of its owner.
@@ -96,11 +95,11 @@ impl Mailbox {
         }
     }
 
-    /// The names that end in `suffix` and are not hidden, in order.
+    /// The names that end in `suffix` and are not hidden, in order, each with its file's number.
     ///
     /// # Errors
     /// The folder cannot be listed.
-    pub fn names(&self, suffix: &str) -> Result<Vec<String>, FileError> {
+    pub fn names(&self, suffix: &str) -> Result<Vec<(String, FileNumber)>, FileError> {
         let fail = |e: Errno| FileError::io("list", &self.path, e.into());
         rustix::fs::seek(&self.folder, SeekFrom::Start(0)).map_err(fail)?;
         let mut buffer = [MaybeUninit::uninit(); 32 * 1024];
@@ -111,7 +110,7 @@ impl Mailbox {
             // A name that is no text is none that a sender of ours gives.
             let Ok(name) = entry.file_name().to_str() else { continue };
             if is_left(name, suffix) {
-                names.push(name.to_owned());
+                names.push((name.to_owned(), entry.ino()));
             }
         }
         names.sort_unstable();
@@ -152,9 +151,8 @@ impl Mailbox {
             return Err(unfit(Unfit::TooLarge(max_bytes)));
         }
         let text = String::from_utf8(bytes).map_err(|_| unfit(Unfit::NotText))?;
-        let changed_ns = i128::from(metadata.ctime()) * 1_000_000_000 + i128::from(metadata.ctime_nsec());
-        let id = FileId { inode: metadata.ino(), changed_ns };
-        Ok(Letter { id, text, uid: metadata.uid(), lock: SenderLock(Arc::new(file)) })
+        let (number, uid) = (metadata.ino(), metadata.uid());
+        Ok(Letter { number, text, uid, lock: SenderLock(Arc::new(file)) })
     }
 
     /// Files that come into the folder from now on.
@@ -282,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn each_new_file_is_reported_and_has_an_identity_of_its_own() {
+    fn each_new_file_is_reported_once_and_shows_whether_it_still_lies_there() {
         let folder = tempfile::tempdir().unwrap();
         let mailbox = Mailbox::open(folder.path()).unwrap();
         let arrivals = mailbox.arrivals().unwrap();
@@ -291,11 +289,13 @@ mod tests {
         std::fs::write(folder.path().join("0.reply"), "another kind").unwrap();
         assert_eq!(arrivals.names(".command"), ["0.command"]);
         assert!(arrivals.names(".command").is_empty(), "once");
-        let first = mailbox.read("0.command", 100).unwrap().id;
-        assert_eq!(mailbox.read("0.command", 100).unwrap().id, first);
+        let first = mailbox.read("0.command", 100).unwrap();
+        assert_eq!(mailbox.names(".command").unwrap(), [("0.command".to_string(), first.number)]);
+        assert!(first.lock.lies_there());
         std::fs::remove_file(&left.path).unwrap();
+        assert!(!first.lock.lies_there());
         let _again = leave(folder.path(), names(), b"1").unwrap();
-        assert_ne!(mailbox.read("0.command", 100).unwrap().id, first, "the same name, another file");
+        assert_ne!(mailbox.read("0.command", 100).unwrap().number, first.number, "the first one is open");
         assert_eq!(arrivals.names(".command"), ["0.command"]);
     }
 
@@ -310,7 +310,9 @@ mod tests {
         std::os::unix::fs::symlink("/etc/passwd", folder.path().join("3.command")).unwrap();
         std::fs::hard_link(&first.path, folder.path().join("4.reply")).unwrap();
         for _ in 0..2 {
-            assert_eq!(mailbox.names(".command").unwrap(), ["0.command", "1.command", "3.command"]);
+            let names: Vec<String> =
+                mailbox.names(".command").unwrap().into_iter().map(|(name, _)| name).collect();
+            assert_eq!(names, ["0.command", "1.command", "3.command"]);
         }
         for strange in ["3.command", "0.command"] {
             assert!(mailbox.read(strange, 100).is_err_and(|error| !error.is_absent()), "{strange}");

@@ -88,8 +88,8 @@ pub enum JournalError {
     },
     /// A row that this program cannot have written.
     #[error(
-        "journal {path}: column {column} holds {value:?}, which no celld writes; `celld journal repair` keeps \
-         all other rows"
+        "journal {path}: column {column} holds {value:?}, which no celld writes; stop celld, then run \
+         `celld journal repair`: it keeps what can be read"
     )]
     Damaged {
         /// The file.

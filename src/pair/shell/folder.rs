@@ -6,7 +6,7 @@
 use crate::jobs::command::STOP_MARK;
 use crate::jobs::inbox::Folder;
 use cell_edge::files::FileError;
-use cell_edge::mailbox::{FileId, Letter};
+use cell_edge::mailbox::{FileNumber, Letter};
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 use std::io::{Error, ErrorKind};
@@ -29,7 +29,7 @@ pub enum Fate {
 /// A file in it.
 #[derive(Debug)]
 struct Left {
-    id: FileId,
+    number: FileNumber,
     text: String,
     /// The sender waits.
     held: Arc<AtomicBool>,
@@ -80,8 +80,7 @@ impl Files {
         if !number.is_multiple_of(3) {
             self.arrived.borrow_mut().push(name.clone());
         }
-        let id = FileId { inode: number, changed_ns: 0 };
-        self.files.borrow_mut().insert(name, Left { id, text, held }).is_none()
+        self.files.borrow_mut().insert(name, Left { number, text, held }).is_none()
     }
 
     /// The names that the kernel has reported since the last call.
@@ -115,8 +114,10 @@ impl Folder for Files {
         self.fate.get() != Fate::Gone
     }
 
-    fn names(&self, suffix: &str) -> Result<Vec<String>, FileError> {
-        Ok(self.files.borrow().keys().filter(|name| name.ends_with(suffix)).cloned().collect())
+    fn names(&self, suffix: &str) -> Result<Vec<(String, FileNumber)>, FileError> {
+        let files = self.files.borrow();
+        let of_kind = files.iter().filter(|(name, _)| name.ends_with(suffix));
+        Ok(of_kind.map(|(name, left)| (name.clone(), left.number)).collect())
     }
 
     fn read(&self, name: &str, _max_bytes: u64) -> Result<Letter<Arc<AtomicBool>>, FileError> {
@@ -125,10 +126,14 @@ impl Folder for Files {
         }
         let files = self.files.borrow();
         let left = files.get(name).ok_or_else(|| self.error("open", name, ErrorKind::NotFound))?;
-        Ok(Letter { id: left.id, text: left.text.clone(), uid: 1000, lock: left.held.clone() })
+        Ok(Letter { number: left.number, text: left.text.clone(), uid: 1000, lock: left.held.clone() })
     }
 
     fn claim(&self, name: &str) -> Result<bool, FileError> {
         Ok(self.remove(name))
+    }
+
+    fn lies_there(&self, lock: &Arc<AtomicBool>) -> bool {
+        self.files.borrow().values().any(|left| Arc::ptr_eq(&left.held, lock))
     }
 }

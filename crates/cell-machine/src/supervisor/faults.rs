@@ -162,7 +162,7 @@ impl Supervisor {
                     out,
                     format!(
                         "the program is paused in the middle of a motion: `celld abort`, then \
-                         `celld recover`; the motion goes on if the program is played within {seconds} s"
+                         `celld recover`; the motion goes on if the program is resumed within {seconds} s"
                     ),
                 );
             }

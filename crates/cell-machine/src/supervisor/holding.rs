@@ -150,11 +150,11 @@ impl Supervisor {
             alarm(
                 out,
                 format!(
-                    "{gripped}, and the vacuum is too low to hold it: see where it lies, or whether it still \
-                     hangs on the cups; `celld recover`"
+                    "{gripped} and may have fallen, the vacuum is too low to hold it: look for it on the \
+                     table and on the cups, then `celld recover`"
                 ),
             );
-            self.back.fell = Some(format!("{what} fell before celld started"));
+            self.back.fell = Some(format!("{what} may have fallen before celld started"));
         }
         self.back.held = Some(held);
     }

@@ -170,9 +170,9 @@ pub struct CellModel {
     /// Where the devices are.
     pub addresses: DeviceAddresses,
     /// A person has confirmed once that what answers at the gripper's address is the gripper, or the cell is
-    /// simulated. The device itself has no register that says what it is.
+    /// simulated. That the device says which product it is does not prove that it hangs on this arm.
     pub gripper_confirmed: bool,
-    /// What an earlier celld had gripped and not let go; it hangs there where there is vacuum.
+    /// What an earlier celld gripped and did not release; it counts as held while the vacuum holds it.
     pub held_before: Option<HeldBefore>,
     /// The job that was cut off when an earlier celld ended: a stop that is still to be left.
     pub cut_off: Option<CutOff>,

@@ -121,8 +121,8 @@ fn stopped(stands: bool, robot: Option<&RobotState>, settled: bool) -> Reply {
              arm until the pendant shows that it is off"
         }
         Some(robot) if robot.stands_still() => {
-            "disarmed, and the arm is at rest, but its program could not be ended: nobody may press play at \
-             the pendant before it is stopped there"
+            "disarmed, and the arm is at rest, but its program could not be ended: press the emergency stop \
+             before you go near the arm"
         }
         Some(_) => "disarmed, but the arm has not come to rest: keep away from it, use the emergency stop",
         None => {

@@ -388,7 +388,7 @@ fn what_an_earlier_celld_had_gripped_is_named_where_there_is_vacuum() {
         tool_from_object: None,
         table: vec![("b".into(), Pose2::new(0.1, 0.1, 0.0))],
     };
-    let fell = "a fell before celld started, or hangs on the cups";
+    let fell = "a may have fallen before celld started, or hangs on the cups";
     for (vacuum, held) in [([0.5, 0.0], Some("holds a")), ([0.12, 0.0], Some(fell)), ([0.0, 0.0], None)] {
         let mut bench = Bench::new();
         bench.cell.model.held_before = Some(before.clone());
