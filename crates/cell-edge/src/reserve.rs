@@ -9,7 +9,7 @@
 use rustix::process::{Resource, getrlimit, setrlimit};
 use std::fs::File;
 use std::io;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError, TryLockError};
 
 /// Handles in reserve: orders, status and answers open one or two each.
 const SPARE: usize = 12;
@@ -35,9 +35,15 @@ pub fn raise_limit() {
 }
 
 /// Fills the reserve as far as handles are left; false if it is not even half full then. Without a call of
-/// this there is no reserve.
+/// this there is no reserve. Never waits: who takes orders must not stand still because a thread of low
+/// priority, which fills it too, does not get a processor.
 pub fn fill() -> bool {
-    let mut reserve = reserve();
+    let mut reserve = match RESERVE.try_lock() {
+        Ok(reserve) => reserve,
+        Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
+        // Another thread is filling it.
+        Err(TryLockError::WouldBlock) => return true,
+    };
     while reserve.len() < SPARE {
         let Ok(file) = File::open("/dev/null") else { return reserve.len() >= SPARE / 2 };
         reserve.push(file);
@@ -95,6 +101,9 @@ mod tests {
         assert!(reserve().is_empty());
         assert!(fill());
         assert_eq!(reserve().len(), SPARE);
+        let held = reserve();
+        assert!(std::thread::spawn(fill).join().expect("it ends"), "without waiting for who holds it");
+        drop(held);
         let absent = with_spare(|| File::open("/nowhere/at/all")).expect_err("absent");
         assert_eq!((absent.kind(), reserve().len()), (io::ErrorKind::NotFound, SPARE));
     }
