@@ -99,7 +99,10 @@ impl Cell {
                 request.body.len()
             ));
         }
-        let mut stream = TcpStream::connect(&self.host).expect("connected");
+        let mut stream = TcpStream::connect(&self.host).unwrap_or_else(|error| {
+            let log = std::fs::read_to_string(self.path().join(LOG)).unwrap_or_default();
+            panic!("{}: {error}; the daemon's log:\n{log}", request.path)
+        });
         stream.set_read_timeout(Some(Duration::from_secs(60))).expect("a timeout");
         stream.write_all(format!("{head}\r\n").as_bytes()).expect("sent");
         // What is refused early may not be read to its end.
