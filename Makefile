@@ -402,7 +402,7 @@ bench: setup
 	cargo bench
 
 # How soon is a stop on the wire while everything else wants celld's attention? Figures; it fails where a
-# stop is not passed on or not answered.
+# stop is refused or not answered.
 bench-stops: setup
 	cargo build --release --quiet --bin celld
 	python3 -B tests/load/stop_latency.py --celld $(BUILD)/release/celld

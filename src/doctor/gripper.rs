@@ -69,7 +69,7 @@ impl GripperFacts {
                 let found =
                     format!("{} answers, without the registers of the vacuum (258, 259)", self.address);
                 let hint = "see on the Compute Box's own web page which gripper and which firmware it has: \
-                            older firmware has the vacuum elsewhere, and has to be updated";
+                            older firmware may have the vacuum in other registers, update it";
                 return vec![problem("Modbus", found, hint)];
             }
             Err(cause) => {
@@ -149,7 +149,8 @@ fn product_line(Product { code, firmware, serial }: &Product) -> Line {
             return problem("product", found, "another product needs another driver");
         }
     };
-    let firmware = firmware.map_or_else(String::new, |[major, minor]| format!(", firmware {major}.{minor}"));
+    let firmware =
+        firmware.map_or_else(String::new, |[first, second]| format!(", firmware {first}.{second}"));
     let serial = serial.as_ref().map_or_else(String::new, |words| format!(", serial {}", serial_text(words)));
     Line::ok(Area::Gripper, "product", format!("{name}{firmware}{serial}"))
 }
