@@ -192,6 +192,7 @@ pub fn faults_of(path: &Path) -> Result<Vec<Planned>, String> {
 }
 
 async fn serve(config: SimConfig, port_offset: u16, until_eof: bool) -> u8 {
+    cell_edge::memory::keep_large_blocks_apart();
     // Before the ready line: who reads it may end the simulator at once.
     let ended = match end::of_process(until_eof) {
         Ok(ended) => ended,

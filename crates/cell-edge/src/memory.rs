@@ -1,0 +1,47 @@
+//! Memory of a process that runs for weeks and handles a picture every few seconds.
+//!
+//! In: nothing. Out: a setting of the C library's allocator, which Rust and OpenCV share. By itself it
+//! serves ever larger blocks from its arenas: after the first pictures were freed, later ones lie there
+//! between small blocks that stay, and the process grows.
+
+/// A block of this size or more gets a mapping of its own, which goes back to the system when the block is
+/// freed, bytes. The allocator starts with this value.
+const LARGE_BLOCK_BYTES: i32 = 128 * 1024;
+
+/// Keeps large blocks out of the arenas from now on; false where the C library cannot.
+#[cfg(target_env = "gnu")]
+#[allow(unsafe_code, reason = "a C interface that takes two numbers")]
+pub fn keep_large_blocks_apart() -> bool {
+    // SAFETY: takes no pointers, and the C library allows it at any time.
+    unsafe { nix::libc::mallopt(nix::libc::M_MMAP_THRESHOLD, LARGE_BLOCK_BYTES) == 1 }
+}
+
+/// Keeps large blocks out of the arenas from now on; false where the C library cannot.
+#[cfg(not(target_env = "gnu"))]
+pub fn keep_large_blocks_apart() -> bool {
+    false
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Bytes in mappings of their own, as the C library counts them.
+    #[cfg(target_env = "gnu")]
+    #[allow(unsafe_code, reason = "a C interface without arguments")]
+    fn mapped() -> usize {
+        // SAFETY: takes nothing and returns numbers.
+        unsafe { nix::libc::mallinfo2() }.hblkhd
+    }
+
+    #[test]
+    #[cfg(target_env = "gnu")]
+    fn a_picture_gets_a_mapping_of_its_own_also_after_others_were_freed() {
+        let picture = || std::hint::black_box(vec![1u8; 8 << 20]);
+        assert!(keep_large_blocks_apart());
+        drop(picture());
+        let before = mapped();
+        let second = picture();
+        assert!(mapped() >= before + second.len());
+    }
+}
