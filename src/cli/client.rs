@@ -72,6 +72,14 @@ pub(super) enum ClientError {
          see `celld status`"
     )]
     NoReply(u64),
+    #[error(
+        "celld ended before it answered; whether it carried the command out is not known, see `celld status`. If the \
+         arm moves, use the emergency stop"
+    )]
+    Ended {
+        /// By Ctrl-C.
+        interrupted: bool,
+    },
     #[error("taken back: nothing was done")]
     TakenBack,
     #[error("a stop is not taken back; it counts when the daemon takes it")]
@@ -97,7 +105,10 @@ pub(super) enum ClientError {
 pub(super) fn complain(error: &ClientError) -> u8 {
     cell_edge::terminal::complain(&chain(error));
     match error {
-        ClientError::TakenBack | ClientError::StopStands | ClientError::Interrupted => 130,
+        ClientError::TakenBack
+        | ClientError::StopStands
+        | ClientError::Interrupted
+        | ClientError::Ended { interrupted: true } => 130,
         _ => 1,
     }
 }
@@ -177,28 +188,55 @@ fn sent(
     let given = Given { unix_s: unix_now_s(), boot_s: boot_now_s() };
     let sent = Sent::send(&state.commands(), daemon, command, given)?;
     let begun = Instant::now();
+    let mut taken = false;
     loop {
         if let Some(reply) = sent.poll()? {
             return Ok(reply);
         }
+        // Once taken it may have been decided, whatever becomes of the daemon.
+        taken |= !sent.waits()?;
         let interrupted = stop.load(Ordering::Relaxed);
-        let limit = if sent.lies_there() { TAKEN_WITHIN } else { ANSWER_WITHIN };
+        let limit = if taken { ANSWER_WITHIN } else { TAKEN_WITHIN };
         if interrupted || begun.elapsed() >= limit {
-            return give_up(sent, command.only_stops(), interrupted);
+            let (stops, runs) = (command.only_stops(), || runs_as(state, daemon));
+            return give_up(sent, GivenUp { stops, taken, interrupted }, runs);
         }
         std::thread::sleep(LOOK_EVERY);
     }
 }
 
+/// How a command stands whose client waits no longer.
+struct GivenUp {
+    /// It only stops.
+    stops: bool,
+    /// The daemon has had it.
+    taken: bool,
+    /// By Ctrl-C; else its time is over.
+    interrupted: bool,
+}
+
+/// The daemon of this name still runs.
+fn runs_as(state: &StateFolder, daemon: &str) -> Result<bool, ClientError> {
+    let runs = state.is_taken()?;
+    Ok(runs && Status::read(&state.status())?.is_some_and(|status| status.daemon == daemon))
+}
+
 /// Waits no longer for the answer to a command. One that was not taken is taken back, so it is not obeyed
 /// once nobody expects it; a stop never is. One that was taken is carried out only if it was decided before.
-fn give_up(sent: Sent, stops: bool, interrupted: bool) -> Result<Reply, ClientError> {
-    let (late, there) = (TAKEN_WITHIN.as_secs(), sent.lies_there());
-    if stops && there {
-        return Err(if interrupted { ClientError::StopStands } else { ClientError::StopNotTaken(late) });
-    }
-    if !stops && there && sent.withdraw()? {
-        return Err(if interrupted { ClientError::TakenBack } else { ClientError::NotTaken(late) });
+fn give_up(
+    sent: Sent,
+    GivenUp { stops, taken, interrupted }: GivenUp,
+    runs: impl Fn() -> Result<bool, ClientError>,
+) -> Result<Reply, ClientError> {
+    let late = TAKEN_WITHIN.as_secs();
+    if !taken && (stops || sent.withdraw()?) {
+        return Err(match (runs()?, stops, interrupted) {
+            (false, ..) => ClientError::Ended { interrupted },
+            (true, true, true) => ClientError::StopStands,
+            (true, true, false) => ClientError::StopNotTaken(late),
+            (true, false, true) => ClientError::TakenBack,
+            (true, false, false) => ClientError::NotTaken(late),
+        });
     }
     let last_word = sent.let_go();
     let since = Instant::now();
@@ -207,6 +245,9 @@ fn give_up(sent: Sent, stops: bool, interrupted: bool) -> Result<Reply, ClientEr
             return Ok(reply);
         }
         std::thread::sleep(LOOK_EVERY);
+    }
+    if !runs()? {
+        return Err(ClientError::Ended { interrupted });
     }
     let seconds = ANSWER_WITHIN.as_secs();
     Err(if interrupted { ClientError::Interrupted } else { ClientError::NoReply(seconds) })

@@ -26,6 +26,7 @@ use crate::daemon::watchdog::{Beats, Watchdog};
 use crate::daemon::workers::{PerceptionSetup, Sight};
 use crate::doctor::files::blocked_poses;
 use crate::io::camera::monitored::MonitoredCamera;
+use crate::jobs::inbox::Inbox;
 use crate::jobs::state::StateFolder;
 use crate::jobs::status::{Remarks, Status};
 use crate::page::feed::{Feed, KnownCell, Watcher};
@@ -36,6 +37,7 @@ use crate::page::{ServeError, app};
 use crate::perception::Perception;
 use cell_calibration::files::set::CalibrationSet;
 use cell_edge::clock::unix_now_s;
+use cell_edge::files::FileError;
 use cell_edge::priority;
 use cell_edge::terminal::{complain, complain_within};
 use cell_machine::event::Arm;
@@ -74,6 +76,7 @@ pub struct RunArgs {
 /// Runs the daemon until Ctrl-C or SIGTERM; returns the exit code.
 pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
     cell_edge::log::log_panics();
+    cell_edge::memory::keep_large_blocks_apart();
     cell_edge::reserve::raise_limit();
     if !cell_edge::reserve::fill() {
         tracing::warn!("the system allows this process hardly any open files");
@@ -328,9 +331,9 @@ struct Opened {
 fn opened(begin: &Begin, name: String, anew: &Anew, stop: &Arc<AtomicBool>) -> Result<Opened, String> {
     let Begin { config, config_file, shared, state, .. } = begin;
     let memory = GripperMemory::new(state, gripper_address(&config.devices));
-    let in_folder = StateOrders::open(state, name.clone(), memory.clone()).map_err(|error| chain(&error))?;
+    let inbox = Inbox::open(&state.commands(), name.clone()).map_err(|error| chain(&error))?;
     let ((order_sender, at_page), feed, remarks) =
-        (order_channel(memory), Feed::default(), Remarks::default());
+        (order_channel(memory.clone()), Feed::default(), Remarks::default());
     let reported = fleet(Parts {
         config,
         config_file,
@@ -370,25 +373,22 @@ fn opened(begin: &Begin, name: String, anew: &Anew, stop: &Arc<AtomicBool>) -> R
         reported(status);
     };
     let keeper = keeper.published(Box::new(publish), remarks).sharing(shared.name());
-    let orders = sources(in_folder.with_sign_ins(sign_ins), at_page);
+    let orders = sources(StateOrders::of(inbox, memory, sign_ins), at_page);
     Ok(Opened { keeper, orders, feed, film })
 }
 
-/// The folder, the page, and the stops in the folder on a thread of their own.
-fn sources(in_folder: StateOrders, at_page: impl Orders) -> Sources {
-    let stops = in_folder.stops();
-    let mut orders: Vec<Box<dyn Orders>> = vec![Box::new(in_folder), Box::new(at_page)];
-    match stops {
-        Ok(stops) => orders.push(Box::new(stops)),
-        Err(error) => {
-            let error = chain(&error);
-            tracing::warn!(
-                error,
-                "the kernel does not report new command files, so stops may be late: raise \
-                 fs.inotify.max_user_instances and restart celld"
-            );
-        }
+/// Those of the folder and the page's.
+fn sources((in_folder, unwatched): (Vec<StateOrders>, Option<FileError>), at_page: impl Orders) -> Sources {
+    if let Some(error) = unwatched {
+        let error = chain(&error);
+        tracing::warn!(
+            error,
+            "the kernel does not report new command files, so orders may be late: raise \
+             fs.inotify.max_user_instances and restart celld"
+        );
     }
+    let mut orders: Vec<Box<dyn Orders>> = vec![Box::new(at_page)];
+    orders.extend(in_folder.into_iter().map(|source| Box::new(source) as Box<dyn Orders>));
     Sources::of(orders)
 }
 

@@ -340,6 +340,28 @@ mod tests {
     }
 
     #[test]
+    fn when_the_daemon_ends_before_its_answer_the_client_promises_nothing() {
+        let (_folder, state, inbox, lock) = running();
+        let interrupted = AtomicBool::new(false);
+        let taken = std::thread::scope(|scope| {
+            let client = scope.spawn(|| send(&state, &Command::Arm, &interrupted));
+            let mut inbox = inbox;
+            let taken = loop {
+                match inbox.take(1).taken.pop() {
+                    Some(taken) => break taken,
+                    None => std::thread::yield_now(),
+                }
+            };
+            // It has the command, and ends without an answer.
+            drop((inbox, lock));
+            interrupted.store(true, std::sync::atomic::Ordering::Relaxed);
+            assert!(matches!(client.join().unwrap(), Err(ClientError::Ended { interrupted: true })));
+            taken
+        });
+        drop(taken);
+    }
+
+    #[test]
     fn after_ctrl_c_the_daemon_sees_that_nobody_waits_and_its_answer_is_still_shown() {
         let (_folder, state, mut inbox, _lock) = running();
         let interrupted = AtomicBool::new(false);

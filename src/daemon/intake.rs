@@ -35,6 +35,11 @@ pub trait Orders: Send + 'static {
 
     /// Answers the order of this number. Must not wait either.
     fn reply(&mut self, number: u32, reply: &Reply);
+
+    /// It waits for no lock that other processes hold, so that its thread may go before all others.
+    fn is_prompt(&self) -> bool {
+        false
+    }
 }
 
 /// The way back to each source.
@@ -153,6 +158,9 @@ pub fn take_orders(
     beat: &Beat,
     ending: &AtomicBool,
 ) {
+    if orders.is_prompt() {
+        cell_edge::priority::real_time();
+    }
     while !ending.load(Ordering::Relaxed) {
         beat.now();
         let Batch { orders: taken, fault } = orders.take();

@@ -22,6 +22,7 @@ use crate::daemon::sockets::{Addresses, Sockets};
 use crate::daemon::store::{Keeper, Store};
 use crate::daemon::watchdog::{Beat, Beats};
 use crate::daemon::workers::{PerceptionSetup, SeeRequest, busy, spawn_perception, spawn_plan};
+use crate::jobs::inbox::UNANSWERED_MAX;
 use cell_edge::clock::{Clock, boot_now_s};
 use cell_machine::device::robot_types::RobotState;
 use cell_machine::event::{Arm, Effect, Event, News};
@@ -63,8 +64,9 @@ pub enum StartError {
     Round(#[from] RoundFault),
 }
 
-/// Things that may wait for the loop: at 50 readings a second, seconds' worth.
-const QUEUE: usize = 256;
+/// Things that may wait for the loop: at 50 readings a second, seconds' worth, and all orders besides
+/// ([`UNANSWERED_MAX`]).
+const QUEUE: usize = 256 + 2 * UNANSWERED_MAX;
 
 /// For the program to end after a round.
 const END_WITHIN: Duration = Duration::from_secs(10);

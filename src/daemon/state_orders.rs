@@ -7,11 +7,10 @@
 
 use crate::daemon::gripper_memory::GripperMemory;
 use crate::daemon::intake::Orders;
-use crate::daemon::keeper::KeeperError;
 use crate::jobs::command::{Command, SignIn};
-use crate::jobs::inbox::{Inbox, Mail, Refused, ReportedStops, Taken};
+use crate::jobs::inbox::{Inbox, Mail, Refused, Taken, UNANSWERED_MAX};
+use crate::jobs::reported::{Kind, Reported};
 use crate::jobs::sources::{Batch, Given};
-use crate::jobs::state::StateFolder;
 use cell_edge::clock::boot_now_s;
 use cell_edge::files::FileError;
 use cell_machine::intake::{Origin, stale};
@@ -23,12 +22,12 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Commands other than stops wait in the folder while so many are not answered.
-const UNANSWERED_MAX: usize = 64;
+/// Commands take at most one in so many of the file handles that this process may have.
+const HANDLES_PER_COMMAND: usize = 8;
 
-/// Time limit of one look. With many clients each claim may wait 20 ms for the folder's lock, and the cell
-/// stops after 1 s without a look.
-const TAKES_FOR: Duration = Duration::from_millis(50);
+/// Time limit of one look: to open a file that its sender has just taken back waits for the folder's lock,
+/// and the cell stops after 1 s without a look.
+const LOOK_TIME: Duration = Duration::from_millis(50);
 
 /// Who signs people in at the page.
 pub trait SignInHandler: Send {
@@ -39,12 +38,12 @@ pub trait SignInHandler: Send {
     fn sign_out(&self, name: &str) -> Reply;
 }
 
-/// Which commands are taken.
+/// How commands are found.
 enum Reader {
-    /// All, by listing the folder.
+    /// By listing the folder.
     Listing(Inbox),
-    /// Stops only, by the names that inotify reports.
-    Stops(ReportedStops),
+    /// By the names that the kernel reports.
+    Reports(Reported),
 }
 
 /// Operators' commands in the state folder.
@@ -52,85 +51,85 @@ pub struct StateOrders {
     reader: Reader,
     last: u32,
     unanswered: VecDeque<(u32, Taken)>,
-    clerk: Option<Clerk>,
-    letters: Option<Sender<Letter>>,
-    writes: Option<JoinHandle<()>>,
+    letters: Arc<Letters>,
 }
 
 impl StateOrders {
-    /// Opens the command folder and clears what was left for an earlier daemon; `memory`: where a confirmed
-    /// gripper is remembered.
-    ///
-    /// # Errors
-    /// The folder cannot be used.
-    pub fn open(
-        state: &StateFolder,
-        daemon: String,
+    /// The sources of commands in the folder of `inbox`: by listing, and two that wait for no lock of the
+    /// folder, of stops and of the other commands that the kernel reports. `memory`: where a confirmed
+    /// gripper is remembered; `sign_ins`: of the page, if there is one. Also why there is only the first:
+    /// the system gives no watch on the folder.
+    pub fn of(
+        mut inbox: Inbox,
         memory: GripperMemory,
-    ) -> Result<StateOrders, KeeperError> {
-        let reader = Reader::Listing(Inbox::open(&state.commands(), daemon)?);
-        Ok(StateOrders::reading(reader, Clerk { memory: Some(memory), sign_ins: None }))
-    }
-
-    fn reading(reader: Reader, clerk: Clerk) -> StateOrders {
-        let (unanswered, clerk) = (VecDeque::new(), Some(clerk));
-        StateOrders { reader, last: 0, unanswered, clerk, letters: None, writes: None }
-    }
-
-    /// A second source, for the stops in the same folder. It does not wait for the folder's lock.
-    ///
-    /// # Errors
-    /// The system gives no watch on the folder; then stops are taken with all the others.
-    pub fn stops(&self) -> Result<StateOrders, FileError> {
-        let (Reader::Listing(inbox) | Reader::Stops(ReportedStops { inbox, .. })) = &self.reader;
-        let stops = Reader::Stops(inbox.reported_stops()?);
-        Ok(StateOrders::reading(stops, Clerk { memory: None, sign_ins: None }))
-    }
-
-    /// With a page at which people can be signed in; before the first order is taken.
-    pub fn with_sign_ins(mut self, sign_ins: Option<Box<dyn SignInHandler>>) -> StateOrders {
-        if let Some(clerk) = &mut self.clerk {
-            clerk.sign_ins = sign_ins;
+        sign_ins: Option<Box<dyn SignInHandler>>,
+    ) -> (Vec<StateOrders>, Option<FileError>) {
+        let reported = Reported::both(&mut inbox);
+        // Stops have a thread that answers them alone: they wait for no other answer.
+        let for_stops = Arc::new(Letters::to(Clerk { memory: memory.clone(), sign_ins: None }));
+        let letters = Arc::new(Letters::to(Clerk { memory, sign_ins }));
+        let mut sources = vec![StateOrders::reading(Reader::Listing(inbox), letters.clone())];
+        match reported {
+            Ok([stops, others]) => {
+                sources.push(StateOrders::reading(Reader::Reports(stops), for_stops));
+                sources.push(StateOrders::reading(Reader::Reports(others), letters));
+                (sources, None)
+            }
+            Err(error) => (sources, Some(error)),
         }
-        self
     }
 
-    /// To the thread that writes; it is started with the first letter.
-    fn write(&mut self, letter: Letter) {
-        if let Some(clerk) = self.clerk.take() {
-            let (sender, letters) = channel();
-            self.letters = Some(sender);
-            self.writes = Some(std::thread::spawn(move || clerk.run(&letters)));
+    fn reading(reader: Reader, letters: Arc<Letters>) -> StateOrders {
+        StateOrders { reader, last: 0, unanswered: VecDeque::new(), letters }
+    }
+
+    fn inbox(&self) -> &Inbox {
+        match &self.reader {
+            Reader::Listing(inbox) => inbox,
+            Reader::Reports(reported) => reported.inbox(),
         }
-        if let Some(letters) = &self.letters {
-            // Its end would be a defect; what it had to write is lost with it.
-            let _ = letters.send(letter);
+    }
+}
+
+impl Drop for StateOrders {
+    /// What is with the machine may still be carried out, or was.
+    fn drop(&mut self) {
+        for (_, taken) in self.unanswered.drain(..) {
+            let why = "celld ends; see the status for what was done";
+            self.letters.write(Letter::Answer(taken, Reply::refuse(why)));
         }
     }
 }
 
 impl Orders for StateOrders {
     fn task(&self) -> &'static str {
-        match self.reader {
+        match &self.reader {
             Reader::Listing(_) => "the intake of orders",
-            Reader::Stops(_) => "the intake of stops",
+            Reader::Reports(one) if one.kind() == Kind::Stops => "the intake of stops",
+            Reader::Reports(_) => "the intake of reported orders",
         }
     }
 
+    fn is_prompt(&self) -> bool {
+        matches!(self.reader, Reader::Reports(_))
+    }
+
     fn take(&mut self) -> Batch {
-        let room = UNANSWERED_MAX.saturating_sub(self.unanswered.len());
+        let most = UNANSWERED_MAX.min(cell_edge::reserve::limit() / HANDLES_PER_COMMAND).max(1);
+        let room = most.saturating_sub(self.inbox().unanswered());
+        let began = Instant::now();
+        let in_time = || began.elapsed() < LOOK_TIME;
         let mail = match &mut self.reader {
-            Reader::Listing(inbox) => {
-                let began = Instant::now();
-                inbox.take_while(room, || began.elapsed() < TAKES_FOR)
+            Reader::Listing(inbox) => inbox.take_while(room, in_time),
+            Reader::Reports(reported) => {
+                Mail { taken: reported.take_while(room, in_time), ..Mail::default() }
             }
-            Reader::Stops(stops) => Mail { taken: stops.take(), ..Mail::default() },
         };
-        mail.refused.into_iter().for_each(|refused| self.write(Letter::Refused(refused)));
+        mail.refused.into_iter().for_each(|refused| self.letters.write(Letter::Refused(refused)));
         let mut orders = Vec::with_capacity(mail.taken.len());
         for taken in mail.taken {
             let Some(order) = taken.command.order() else {
-                self.write(Letter::SignIn(taken));
+                self.letters.write(Letter::SignIn(taken));
                 continue;
             };
             self.last += 1;
@@ -151,17 +150,7 @@ impl Orders for StateOrders {
         } else {
             tracing::warn!(?command, uid, "order refused: {}", reply.message);
         }
-        self.write(Letter::Answer(taken, reply.clone()));
-    }
-}
-
-impl Drop for StateOrders {
-    /// Every answer is written before the daemon ends.
-    fn drop(&mut self) {
-        self.letters = None;
-        if let Some(writes) = self.writes.take() {
-            let _ = writes.join();
-        }
+        self.letters.write(Letter::Answer(taken, reply.clone()));
     }
 }
 
@@ -172,10 +161,41 @@ enum Letter {
     SignIn(Taken),
 }
 
+/// The way to the thread that writes.
+struct Letters {
+    sender: Option<Sender<Letter>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Letters {
+    fn to(clerk: Clerk) -> Letters {
+        let (sender, letters) = channel();
+        let thread = std::thread::spawn(move || clerk.run(&letters));
+        Letters { sender: Some(sender), thread: Some(thread) }
+    }
+
+    fn write(&self, letter: Letter) {
+        if let Some(sender) = &self.sender {
+            // The end of the thread would be a defect; what it had to write is lost with it.
+            let _ = sender.send(letter);
+        }
+    }
+}
+
+impl Drop for Letters {
+    /// Every answer is written before the daemon ends.
+    fn drop(&mut self) {
+        self.sender = None;
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
 /// What the thread that writes works with.
 struct Clerk {
     /// Where a confirmed gripper is remembered.
-    memory: Option<GripperMemory>,
+    memory: GripperMemory,
     sign_ins: Option<Box<dyn SignInHandler>>,
 }
 
@@ -186,9 +206,9 @@ impl Clerk {
                 Letter::Refused(refused) => refused.answer(),
                 Letter::SignIn(taken) => taken.answer(&self.sign_in(&taken)),
                 Letter::Answer(taken, reply) => {
-                    let remembered = taken.command.order().zip(self.memory.as_ref());
-                    let remember = |(order, memory): (Order, &GripperMemory)| memory.remember(&order, &reply);
-                    taken.answer(&remembered.map_or_else(|| reply.clone(), remember))
+                    let order = taken.command.order();
+                    let remember = |order: Order| self.memory.remember(&order, &reply);
+                    taken.answer(&order.map_or_else(|| reply.clone(), remember))
                 }
             };
             if let Err(error) = written {

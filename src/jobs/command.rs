@@ -3,10 +3,10 @@
 //! In: a [`Command`] from `celld arm` and its like. Out: the same in the daemon, once, and its answer back.
 //! A command is a file, renamed into place whole, that carries the name of the daemon it was meant for: one
 //! that was not taken (the daemon had just ended) is never obeyed by the next daemon. Its sender keeps the
-//! file locked until it has the answer, so the daemon sees when nobody waits any more
-//! (`cell_edge::mailbox`). Stops are taken before everything else that lies there, and removed afterwards;
-//! any other command is removed before it is obeyed, so it is either carried out or taken back by its
-//! sender (`jobs::inbox`). How old a command may be is judged where it is decided (`cell_machine::intake`).
+//! file locked until it has the answer, so the daemon sees when nobody waits any more, and either the
+//! daemon takes a command or its sender takes it back (`cell_edge::mailbox`). Stops are taken before
+//! everything else that lies there; files are removed with the answer (`jobs::inbox`). How old a command may
+//! be is judged where it is decided (`cell_machine::intake`).
 
 use cell_edge::files::{FileError, read_regular, remove};
 use cell_edge::mailbox::{Left, leave};
@@ -210,18 +210,17 @@ impl Sent {
     /// Takes the command back; false when the daemon has it already.
     ///
     /// # Errors
-    /// The command cannot be removed.
+    /// The file system does not say who has it.
     pub fn withdraw(&self) -> Result<bool, FileError> {
-        match std::fs::remove_file(&self.left.path) {
-            Ok(()) => Ok(true),
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(false),
-            Err(source) => Err(FileError::Io { action: "take back", path: self.left.path.clone(), source }),
-        }
+        self.left.take_back()
     }
 
-    /// The command still lies there: no daemon has taken it.
-    pub fn lies_there(&self) -> bool {
-        self.left.path.exists()
+    /// No daemon has taken the command.
+    ///
+    /// # Errors
+    /// The file system does not say who has it.
+    pub fn waits(&self) -> Result<bool, FileError> {
+        self.left.waits()
     }
 
     /// Waits no longer: the daemon carries the command out only if it was decided before. What is left is

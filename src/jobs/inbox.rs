@@ -2,25 +2,41 @@
 //!
 //! In: a folder, through the calls of [`Folder`] alone, so that the closed loop has one without files. Out:
 //! commands, each once, stops before everything else; files that are no commands, with their answers; why
-//! the folder cannot be read. Listing the folder may wait for its senders, who take the same lock of the
-//! system; so stops are also read by the names that the kernel reports, on a thread of their own
-//! ([`ReportedStops`]).
+//! the folder cannot be read. Listing the folder and removing files may wait for its senders, who take the
+//! same lock of the system. So two further threads read the files that the kernel reports
+//! (`jobs::reported`), and files are removed with the answers.
+
+mod unanswered;
+mod unreported;
+
+pub use unreported::Unreported;
 
 use crate::jobs::command::{Command, Envelope, MAX_BYTES, STOP_MARK, SUFFIX, sender_of};
+use crate::jobs::inbox::unanswered::{HandedOn, Unanswered};
 use cell_edge::files::{FileError, create_folder, write_answer};
-use cell_edge::mailbox::{Arrivals, FileNumber, Letter, Mailbox, SenderLock};
+use cell_edge::mailbox::{FileNumber, Letter, Mailbox, SenderLock};
 use cell_machine::intake::Unreachable;
 use cell_machine::orders::Reply;
-use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// New files read per look, to find stops without the mark in their names.
 const LOOKED_INTO_AT_ONCE: usize = 32;
 
 /// Commands other than stops that are taken at a time.
 const TAKEN_AT_ONCE: usize = 32;
+
+/// A command that lies in the folder for so many looks of the listing was not reported: 0.2 s.
+const REPORTED_WITHIN_LOOKS: u64 = 40;
+
+/// Commands other than stops wait in the folder while so many are without an answer. Each takes a file
+/// handle.
+pub const UNANSWERED_MAX: usize = 256;
+
+/// The same of one sender: answers may have to wait for the folder's lock, and a script must not take all
+/// the room.
+const UNANSWERED_OF_A_SENDER: usize = 16;
 
 /// The answer to a command that was left for an earlier daemon.
 pub const FOR_ANOTHER: &str = "this command was meant for a daemon that has ended";
@@ -30,7 +46,7 @@ const NO_COMMAND: &str = "this file is not a command of this version of celld";
 /// The calls by which commands are read.
 pub trait Folder {
     /// Held while the sender of a command waits.
-    type Lock;
+    type Lock: Clone;
 
     /// The folder's path, for answers and faults.
     fn path(&self) -> &Path;
@@ -50,11 +66,17 @@ pub trait Folder {
     /// It is none of at most `max_bytes`, or cannot be read ([`FileError::is_absent`]: it is gone).
     fn read(&self, name: &str, max_bytes: u64) -> Result<Letter<Self::Lock>, FileError>;
 
-    /// Removes a file; false where its sender has taken it back.
+    /// Takes the file of this lock, so that its sender cannot take it back any more; false where it has.
     ///
     /// # Errors
     /// The system refuses.
-    fn claim(&self, name: &str) -> Result<bool, FileError>;
+    fn claim(&self, lock: &Self::Lock) -> Result<bool, FileError>;
+
+    /// Removes a file that is no command; false if it is not there any more.
+    ///
+    /// # Errors
+    /// The system refuses.
+    fn remove(&self, name: &str) -> Result<bool, FileError>;
 
     /// The file of this lock is still in the folder.
     fn lies_there(&self, lock: &Self::Lock) -> bool;
@@ -79,8 +101,16 @@ impl Folder for Mailbox {
         Mailbox::read(self, name, max_bytes)
     }
 
-    fn claim(&self, name: &str) -> Result<bool, FileError> {
-        Mailbox::claim(self, name)
+    fn claim(&self, lock: &SenderLock) -> Result<bool, FileError> {
+        lock.claim().map_err(|source| FileError::Io {
+            action: "lock a file in",
+            path: self.path().into(),
+            source,
+        })
+    }
+
+    fn remove(&self, name: &str) -> Result<bool, FileError> {
+        Mailbox::remove(self, name)
     }
 
     fn lies_there(&self, lock: &SenderLock) -> bool {
@@ -97,28 +127,38 @@ pub struct Taken<L = SenderLock> {
     pub uid: u32,
     /// When it was given, s since the machine started, as its sender says.
     pub boot_s: f64,
-    /// Which file it was.
     number: FileNumber,
-    /// Of a stop; dropped before the lock, as long as which nothing else has the file's number.
-    handed_on: Option<Arc<HandedOn>>,
-    /// Held while its sender waits for the answer.
+    /// The file, open; its sender holds a lock on it while it waits for the answer.
     pub lock: L,
-    /// Where its file lay.
+    /// Where it lies.
     pub path: PathBuf,
+    unanswered: Unanswered<L>,
+}
+
+impl<L> Taken<L> {
+    /// The answer was tried; `lies_there`: the file could not be removed.
+    pub fn settle(&self, lies_there: bool) {
+        match lies_there {
+            true => self.unanswered.keep(self.number),
+            false => self.unanswered.forget(self.number),
+        }
+    }
 }
 
 impl Taken {
-    /// Removes the file of a stop, and leaves the answer.
+    /// Removes the file, and leaves the answer.
     ///
     /// # Errors
-    /// The answer cannot be written.
+    /// The file cannot be removed, or the answer cannot be written.
     pub fn answer(&self, reply: &Reply) -> Result<(), FileError> {
         // Its sender may have left another one under the same name.
-        let same = || std::fs::symlink_metadata(&self.path).is_ok_and(|now| now.ino() == self.number);
-        if self.command.only_stops() && same() {
-            let _ = std::fs::remove_file(&self.path);
-        }
-        answer(&self.path, self.uid, reply)
+        let same = std::fs::symlink_metadata(&self.path).is_ok_and(|now| now.ino() == self.number);
+        let removed = if same { std::fs::remove_file(&self.path) } else { Ok(()) };
+        let lies_there = self.lock.lies_there();
+        let answered = answer(&self.path, self.uid, reply);
+        self.settle(lies_there);
+        removed.map_err(|source| FileError::Io { action: "remove", path: self.path.clone(), source })?;
+        answered
     }
 }
 
@@ -157,51 +197,17 @@ impl Refused {
     }
 }
 
-/// What is known of a file that lies in the folder.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Known {
-    /// A stop that was handed on; its file is about to go.
-    Obeyed,
-    /// Anything else: its turn comes.
-    Waits,
-}
-
-/// The files of stops that were handed on and are not answered yet, by whichever reader: each counts once.
-#[derive(Clone, Debug, Default)]
-struct Unanswered(Arc<Mutex<BTreeSet<FileNumber>>>);
-
-impl Unanswered {
-    fn numbers(&self) -> MutexGuard<'_, BTreeSet<FileNumber>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Notes a stop until the result is dropped; `None` if it is noted already.
-    fn note(&self, number: FileNumber) -> Option<Arc<HandedOn>> {
-        self.numbers().insert(number).then(|| Arc::new(HandedOn { number, among: self.clone() }))
-    }
-}
-
-/// A stop that was handed on, until it is answered.
-#[derive(Debug)]
-struct HandedOn {
-    number: FileNumber,
-    among: Unanswered,
-}
-
-impl Drop for HandedOn {
-    fn drop(&mut self) {
-        self.among.numbers().remove(&self.number);
-    }
-}
-
 /// The daemon's end.
 #[derive(Debug)]
-pub struct Inbox<F = Mailbox> {
+pub struct Inbox<F: Folder = Mailbox> {
     folder: F,
     daemon: String,
-    /// By name and number: a sender may use a name again.
-    known: BTreeMap<(String, FileNumber), Known>,
-    unanswered: Unanswered,
+    /// Looked into, and in which look last. By name and number: a sender may use a name again.
+    seen: BTreeMap<(String, FileNumber), u64>,
+    looks: u64,
+    /// Where reported files are read by others: they get what was not reported, too.
+    others: Option<Unreported>,
+    unanswered: Unanswered<F::Lock>,
 }
 
 impl Inbox {
@@ -215,48 +221,38 @@ impl Inbox {
         let mailbox = Mailbox::open(folder)?;
         for (name, _) in mailbox.names("")? {
             if !folder.join(&name).is_dir() {
-                mailbox.claim(&name)?;
+                mailbox.remove(&name)?;
             }
         }
         Ok(Inbox::of(mailbox, daemon))
     }
 
-    /// A second reader of the same folder, for another thread: a stop is handed on by one of the two.
+    /// Another reader of the same folder, which knows what this one has handed on.
     ///
     /// # Errors
-    /// The folder cannot be opened or watched.
-    pub fn reported_stops(&self) -> Result<ReportedStops, FileError> {
+    /// The folder cannot be opened.
+    pub fn second_reader(&self) -> Result<Inbox, FileError> {
         let folder = Mailbox::open(self.folder.path())?;
-        let arrivals = folder.arrivals()?;
-        let inbox = Inbox { unanswered: self.unanswered.clone(), ..Inbox::of(folder, self.daemon.clone()) };
-        Ok(ReportedStops { inbox, arrivals, names: VecDeque::new() })
-    }
-}
-
-/// The stops whose files the kernel reports as they come.
-#[derive(Debug)]
-pub struct ReportedStops {
-    /// The reader of the folder.
-    pub inbox: Inbox,
-    arrivals: Arrivals,
-    /// Reported, and not looked into yet.
-    names: VecDeque<String>,
-}
-
-impl ReportedStops {
-    /// Those since the last call that nobody has handed on; of many the rest comes with the next calls.
-    pub fn take(&mut self) -> Vec<Taken> {
-        self.names.extend(self.arrivals.names(SUFFIX).into_iter().filter(|name| name.contains(STOP_MARK)));
-        let count = self.names.len().min(LOOKED_INTO_AT_ONCE);
-        let names: Vec<String> = self.names.drain(..count).collect();
-        self.inbox.take_reported_stops(&names)
+        Ok(Inbox { unanswered: self.unanswered.clone(), ..Inbox::of(folder, self.daemon.clone()) })
     }
 }
 
 impl<F: Folder> Inbox<F> {
     /// Reads this folder for the daemon called `daemon`.
     pub fn of(folder: F, daemon: impl Into<String>) -> Inbox<F> {
-        Inbox { folder, daemon: daemon.into(), known: BTreeMap::new(), unanswered: Unanswered::default() }
+        Inbox {
+            folder,
+            daemon: daemon.into(),
+            seen: BTreeMap::new(),
+            looks: 0,
+            others: None,
+            unanswered: Unanswered::default(),
+        }
+    }
+
+    /// From now on another reader takes all commands but stops; it gets those that were not reported here.
+    pub fn leave_to(&mut self, others: Unreported) {
+        self.others = Some(others);
     }
 
     /// The folder.
@@ -264,25 +260,70 @@ impl<F: Folder> Inbox<F> {
         &self.folder
     }
 
-    /// Takes the stops among newly reported files. Only names with the mark of a stop are opened: to open a
-    /// file that is gone again waits for the folder's lock.
-    pub fn take_reported_stops(&self, names: &[String]) -> Vec<Taken<F::Lock>> {
-        let marked = names.iter().filter(|name| name.contains(STOP_MARK));
-        let read = marked.filter_map(|name| self.read(name).ok()?.ok());
-        read.filter(|taken| taken.command.only_stops()).filter_map(|stop| self.first(stop)).collect()
+    /// Orders that are handed on and not answered, by whichever reader.
+    pub fn unanswered(&self) -> usize {
+        self.unanswered.count()
     }
 
-    /// A stop that neither reader has handed on.
-    fn first(&self, mut stop: Taken<F::Lock>) -> Option<Taken<F::Lock>> {
-        stop.handed_on = Some(self.unanswered.note(stop.number)?);
-        // One that was answered since it was read is gone from the folder.
-        self.folder.lies_there(&stop.lock).then_some(stop)
+    /// Takes the stops among these files, which leave `waiting`. What is no stop is left to [`Inbox::take`].
+    pub fn take_reported_stops(&self, waiting: &mut BTreeSet<String>) -> Vec<Taken<F::Lock>> {
+        let names: Vec<String> = waiting.iter().take(LOOKED_INTO_AT_ONCE).cloned().collect();
+        names.iter().for_each(|name| _ = waiting.remove(name));
+        let read = names.iter().filter_map(|name| self.read(name).ok()?.ok());
+        read.filter(|read| read.command.only_stops()).filter_map(|stop| self.first(stop).ok()?).collect()
+    }
+
+    /// As [`Inbox::take_while`], of these files alone; those that were looked into leave `waiting`. One that
+    /// is no command, or cannot be read, is left to [`Inbox::take`].
+    pub fn take_reported(
+        &self,
+        waiting: &mut BTreeSet<String>,
+        room: usize,
+        in_time: impl Fn() -> bool,
+    ) -> Vec<Taken<F::Lock>> {
+        // In a folder that was moved aside nobody sees the answers.
+        if waiting.is_empty() || !self.folder.is_in_place() {
+            return Vec::new();
+        }
+        let turns: Vec<String> = self.turns(waiting.iter(), String::as_str, room).cloned().collect();
+        let mut taken = Vec::new();
+        for name in turns {
+            if !taken.is_empty() && !in_time() {
+                break;
+            }
+            let read = self.read(&name).ok().and_then(Result::ok);
+            taken.extend(read.and_then(|read| self.first(read).ok().flatten()));
+            waiting.remove(&name);
+        }
+        taken
+    }
+
+    /// A command that no reader has handed on, and that its sender has not taken back.
+    fn first(&self, taken: Taken<F::Lock>) -> Result<Option<Taken<F::Lock>>, FileError> {
+        let stops = taken.command.only_stops();
+        match self.folder.claim(&taken.lock) {
+            // A stop counts whatever becomes of the lock.
+            _ if stops => {}
+            Ok(true) => {}
+            Ok(false) => return Ok(None),
+            Err(error) => return Err(error),
+        }
+        let sender = taken.path.file_name().and_then(|name| name.to_str()).map_or("", sender_of).to_string();
+        let file = HandedOn { sender, stops, lock: taken.lock.clone(), stays: false };
+        if !self.unanswered.note(taken.number, file) {
+            return Ok(None);
+        }
+        if !self.folder.lies_there(&taken.lock) {
+            // Another reader has handed it on, and it was answered, since it was read here.
+            self.unanswered.forget(taken.number);
+            return Ok(None);
+        }
+        Ok(Some(taken))
     }
 
     /// Takes every stop, and up to `room` other commands, in turn by sender and by time within a sender: a
-    /// script with a thousand commands delays only its own. With stops come no others: those may wait for
-    /// the folder's lock, and what was given before a stop does not count after it. Whatever happens to one
-    /// file, what was taken besides is returned.
+    /// script with a thousand commands delays only its own. With stops come no others: what was given before
+    /// a stop does not count after it. Whatever happens to one file, what was taken besides is returned.
     pub fn take(&mut self, room: usize) -> Mail<F::Lock> {
         self.take_while(room, || true)
     }
@@ -302,56 +343,94 @@ impl<F: Folder> Inbox<F> {
                 return mail;
             }
         };
-        self.known.retain(|file, _| files.binary_search(file).is_ok());
+        self.looks += 1;
+        self.unanswered.forget_gone(|lock| self.folder.lies_there(lock));
+        self.seen.retain(|file, _| files.binary_search(file).is_ok());
         if self.take_stops(&files, &mut mail) {
             return mail;
         }
-        let waiting = files.iter().filter(|file| self.known.get(*file) == Some(&Known::Waits));
-        let turns = in_turn(waiting).into_iter().take(room.min(TAKEN_AT_ONCE));
-        for (count, (name, _)) in turns.enumerate() {
+        let handed_on = self.unanswered.numbers();
+        let waiting: Vec<_> = files.iter().filter(|file| !handed_on.contains(&file.1)).collect();
+        // Whoever is to read it: where a file cannot be read, orders do not reach the cell.
+        let first = waiting.iter().find(|file| self.seen.contains_key(**file));
+        if let Some(Err(fault)) = first.map(|file| self.read(&file.0)) {
+            mail.fault = fault.or(mail.fault.take());
+        }
+        for (count, file) in self.due(&waiting, room).into_iter().enumerate() {
             if count > 0 && !in_time() {
                 break;
             }
-            self.take_one(name, &mut mail);
+            self.take_one(&file.0, &mut mail);
+            self.seen.insert(file, self.looks);
         }
         mail
+    }
+
+    /// The files whose turn it is for this reader.
+    fn due(&self, waiting: &[&(String, FileNumber)], room: usize) -> Vec<(String, FileNumber)> {
+        let after = if self.others.is_some() { REPORTED_WITHIN_LOOKS } else { 0 };
+        let is_due = |file: &&(String, FileNumber)| {
+            self.seen.get(*file).is_some_and(|look| look + after <= self.looks)
+        };
+        let waiting = waiting.iter().copied().filter(is_due);
+        // The room of those that go to the other reader is counted there.
+        let room = if self.others.is_some() { TAKEN_AT_ONCE } else { room };
+        self.turns(waiting, |file| &file.0, room).cloned().collect()
+    }
+
+    /// Whose turn it is; nobody's that has too many without an answer.
+    fn turns<'a, T: 'a>(
+        &self,
+        waiting: impl Iterator<Item = &'a T>,
+        name: impl Fn(&'a T) -> &'a str,
+        room: usize,
+    ) -> impl Iterator<Item = &'a T> {
+        let unanswered = self.unanswered.of_senders();
+        let may = move |(turn, sender): (usize, &str)| {
+            turn + unanswered.get(sender).unwrap_or(&0) <= UNANSWERED_OF_A_SENDER
+        };
+        let turns = in_turn(waiting.map(|file| (sender_of(name(file)), file)));
+        let allowed = turns.into_iter().filter(move |(turn, sender, _)| may((*turn, sender)));
+        allowed.map(|(_, _, file)| file).take(room.min(TAKEN_AT_ONCE))
     }
 
     /// Looks into new files and takes the stops among them that were not reported; true if there are any,
     /// reported or not.
     fn take_stops(&mut self, files: &[(String, FileNumber)], mail: &mut Mail<F::Lock>) -> bool {
-        let new = files.iter().filter(|file| !self.known.contains_key(*file));
+        let new = files.iter().filter(|file| !self.seen.contains_key(*file));
         let (stops, others): (Vec<_>, Vec<_>) = new.partition(|(name, _)| name.contains(STOP_MARK));
-        let others = in_turn(others.into_iter());
+        let others = in_turn(others.into_iter().map(|file| (sender_of(&file.0), file)));
+        let others = others.into_iter().map(|(_, _, file)| file);
         let mut found = false;
         for file in stops.into_iter().chain(others).take(LOOKED_INTO_AT_ONCE) {
             match self.read(&file.0) {
                 Ok(Ok(taken)) if taken.command.only_stops() => {
                     found = true;
-                    self.known.insert((file.0.clone(), taken.number), Known::Obeyed);
-                    mail.taken.extend(self.first(taken));
+                    self.seen.insert((file.0.clone(), taken.number), self.looks);
+                    mail.taken.extend(self.first(taken).ok().flatten());
                 }
-                Ok(_) => _ = self.known.insert(file.clone(), Known::Waits),
+                Ok(_) => _ = self.seen.insert(file.clone(), self.looks),
                 Err(fault) => mail.fault = fault.or(mail.fault.take()),
             }
         }
         found
     }
 
-    /// Takes a command that is no stop: removed first, so that its sender cannot take it back any more.
+    /// Takes a command, or leaves it to the reader whose work that is, or removes a file that is none.
     fn take_one(&self, name: &str, mail: &mut Mail<F::Lock>) {
-        let read = match self.read(name) {
-            Ok(read) => read,
-            Err(fault) => return mail.fault = fault.or(mail.fault.take()),
-        };
-        match self.folder.claim(name) {
-            // Its sender has taken it back.
-            Ok(false) => {}
-            Ok(true) => match read {
-                Ok(taken) => mail.taken.push(taken),
-                Err(refused) => mail.refused.push(refused),
+        match (self.read(name), &self.others) {
+            (Ok(Ok(taken)), Some(others)) if !taken.command.only_stops() => others.leave(name.to_string()),
+            (Ok(Ok(taken)), _) => match self.first(taken) {
+                Ok(first) => mail.taken.extend(first),
+                Err(error) => mail.fault = Some(self.unreadable(&error)),
             },
-            Err(error) => mail.fault = Some(self.unreadable(&error)),
+            (Ok(Err(refused)), _) => match self.folder.remove(name) {
+                Ok(true) => mail.refused.push(refused),
+                // Its sender has taken it back.
+                Ok(false) => {}
+                Err(error) => mail.fault = Some(self.unreadable(&error)),
+            },
+            (Err(fault), _) => mail.fault = fault.or(mail.fault.take()),
         }
     }
 
@@ -370,7 +449,8 @@ impl<F: Folder> Inbox<F> {
             Ok(Envelope { daemon, .. }) if daemon != self.daemon => refused(letter.uid, FOR_ANOTHER),
             Ok(Envelope { boot_s, command, .. }) => {
                 let Letter { number, uid, lock, .. } = letter;
-                Ok(Ok(Taken { command, uid, boot_s, number, handed_on: None, lock, path }))
+                let unanswered = self.unanswered.clone();
+                Ok(Ok(Taken { command, uid, boot_s, number, lock, path, unanswered }))
             }
         }
     }
@@ -380,19 +460,20 @@ impl<F: Folder> Inbox<F> {
     }
 }
 
-/// The first of each sender's files, then the second of each, and so on; `files` are in order.
-fn in_turn<'a>(files: impl Iterator<Item = &'a (String, FileNumber)>) -> Vec<&'a (String, FileNumber)> {
+/// The first of each sender's files, then the second of each, and so on, each with its turn from 1; `files`
+/// are in order.
+fn in_turn<'a, T>(files: impl Iterator<Item = (&'a str, &'a T)>) -> Vec<(usize, &'a str, &'a T)> {
     let mut before: HashMap<&str, usize> = HashMap::new();
-    let mut turns: Vec<(usize, &(String, FileNumber))> = files
-        .map(|file| {
-            let turn = before.entry(sender_of(&file.0)).or_default();
+    let mut turns: Vec<(usize, &str, &T)> = files
+        .map(|(sender, file)| {
+            let turn = before.entry(sender).or_default();
             *turn += 1;
-            (*turn, file)
+            (*turn, sender, file)
         })
         .collect();
     // Stable: within a turn they stay in order.
-    turns.sort_by_key(|(turn, _)| *turn);
-    turns.into_iter().map(|(_, file)| file).collect()
+    turns.sort_by_key(|(turn, _, _)| *turn);
+    turns
 }
 
 /// An answer may be a secret (`celld open`): it is for the user who gave the command, and another user than

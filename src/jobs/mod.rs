@@ -13,6 +13,7 @@ pub mod job_file;
 pub mod journal;
 pub mod order_queue;
 pub mod record;
+pub mod reported;
 #[cfg(test)]
 mod samples;
 pub mod sources;

@@ -13,15 +13,16 @@ pub mod folder;
 pub use client::{Client, Leaves, Way};
 
 use crate::jobs::command::{Command, file_name};
-use crate::jobs::inbox::{Inbox, Taken};
+use crate::jobs::inbox::{Folder, Inbox, Taken, UNANSWERED_MAX, Unreported};
 use crate::jobs::order_queue::{OrderQueue, OrderedBy, Waiting};
+use crate::jobs::reported::Kind;
 use crate::jobs::sources::{Given, Stops, number_of};
 use crate::pair::shell::folder::{Fate, Files};
 use cell_machine::event::Event;
 use cell_machine::intake::{HELD_UP_AFTER, Reach, Unreachable};
 use cell_machine::orders::Order;
 use cell_values::time::Duration;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use ur_sim::motion::FRAME_SECONDS;
@@ -34,9 +35,6 @@ const BOOTED_S: f64 = 5000.0;
 
 /// Calendar time when the cell is switched on, s since 1970.
 const CALENDAR_S: f64 = 1.8e9;
-
-/// Commands that may be without an answer, as in the daemon.
-const UNANSWERED_MAX: usize = 64;
 
 /// Frames in which orders are taken in, of five: every 5 ms.
 const TAKES_IN: [bool; 5] = [true, false, true, false, false];
@@ -76,6 +74,10 @@ enum Awaited {
 /// The shell. See the module.
 pub struct Shell {
     inbox: Inbox<Files>,
+    /// Files that the kernel has reported and that were not looked into yet: stops, and others.
+    reported: [BTreeSet<String>; 2],
+    /// What the listing has found that was not reported.
+    unreported: Unreported,
     page: OrderQueue<usize>,
     stops: Stops,
     reach: Reach,
@@ -94,8 +96,12 @@ pub struct Shell {
 
 impl Default for Shell {
     fn default() -> Shell {
+        let (mut inbox, unreported) = (Inbox::of(Files::default(), DAEMON), Unreported::default());
+        inbox.leave_to(unreported.clone());
         Shell {
-            inbox: Inbox::of(Files::default(), DAEMON),
+            inbox,
+            reported: Default::default(),
+            unreported,
             page: OrderQueue::default(),
             stops: Stops::default(),
             reach: Reach::default(),
@@ -224,7 +230,7 @@ impl Shell {
         client.waits().store(false, Ordering::Relaxed);
         let only_stops = client.command.only_stops();
         let taken_back = match &client.file {
-            Some(name) if !killed && !only_stops => self.inbox.folder().remove(name),
+            Some(name) if !killed && !only_stops => self.inbox.folder().take_back(name),
             _ => false,
         };
         if taken_back {
@@ -254,9 +260,19 @@ impl Shell {
     }
 
     fn take_in(&mut self, frame: u64, handed: &mut Handed) {
-        let reported = self.inbox.take_reported_stops(&self.inbox.folder().arrived());
-        let room = UNANSWERED_MAX.saturating_sub(self.awaited.len());
-        let mail = self.inbox.take(room);
+        let [stops, others] = &mut self.reported;
+        for name in self.inbox.folder().arrived() {
+            if Kind::Stops.has(&name) {
+                stops.insert(name)
+            } else {
+                others.insert(name)
+            };
+        }
+        others.extend(self.unreported.take());
+        let room = |inbox: &Inbox<Files>| UNANSWERED_MAX.saturating_sub(inbox.unanswered());
+        let mut reported = self.inbox.take_reported_stops(stops);
+        reported.extend(self.inbox.take_reported(others, room(&self.inbox), || true));
+        let mail = self.inbox.take(room(&self.inbox));
         if mail.fault.is_none() {
             self.looked.0 = frame;
         }
@@ -315,7 +331,8 @@ impl Shell {
         if let Awaited::File(_, taken) = &awaited
             && let Some(name) = taken.path.file_name()
         {
-            self.inbox.folder().remove(&name.to_string_lossy());
+            let _ = self.inbox.folder().remove(&name.to_string_lossy());
+            taken.settle(false);
         }
         let clients = awaited.clients();
         for client in &clients {

@@ -103,6 +103,7 @@ fn the_unit_has_what_the_daemon_rests_on() {
         ("SuccessExitStatus", "130 75"),
         ("RestartForceExitStatus", "75"),
         ("LimitNICE", "-10"),
+        ("LimitRTPRIO", "10"),
         ("IPAddressDeny", "any"),
         ("IPAddressAllow", "localhost"),
         ("RestrictAddressFamilies", "AF_UNIX AF_INET AF_INET6 AF_NETLINK"),

@@ -1,8 +1,9 @@
 """How soon a stop is on the wire while everything else wants celld's attention.
 
 In: the program celld, how many stops, how much beside them. Out: a table of the time from the rename of an
-order's file into the folder of commands to the package with which celld passes the stop on to the robot, and
-of the time to the answers of other orders. The robot is a simulated one that waits for nobody, behind a
+order's file into the folder of commands to the package with which celld passes it on to the robot: of stops,
+and of `arm`, whose package is a move and has to be planned first; of `arm` also until celld has the file and
+until its answer is there. The robot is a simulated one that waits for nobody, behind a
 relay that notes when each package left celld. Beside it: clients at nice 10 that give orders as fast as they
 are answered, a script that fills the folder with orders, viewers of the page, a log that nobody reads. The
 exit code is 1 if a stop was refused or not answered. One that was answered with nothing on the wire is counted
@@ -18,6 +19,7 @@ import pathlib
 import random
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import tempfile
@@ -40,6 +42,9 @@ DATA = ord("U")
 COMMAND_SIZE = HEAD + 1 + 3 * 4 + 9 * 8
 OPCODE = slice(HEAD + 5, HEAD + 9)
 MOVE, STOP = 1, 5
+
+# Linux: who has a lock on this part of the file, of those that belong to an open file (struct flock).
+F_OFD_GETLK, FLOCK = 36, "hhqqi"
 
 # Longest waits, s.
 ANSWER_WITHIN = 30
@@ -142,12 +147,17 @@ class Orders:
         draft.rename(self.folder / f"{name}.command")
         return (before, time.monotonic()), self.folder / f"{name}.reply", lock
 
-    def give(self, order):
-        """When it was left, and the answer with the time to it."""
-        (before, after), reply, lock = self.leave(order)
-        answer = self.answer(reply)
-        lock.close()
-        return before, answer, time.monotonic() - after
+    @staticmethod
+    def taken(lock):
+        """When celld had the file of this lock, or had removed it."""
+        end = time.monotonic() + ANSWER_WITHIN
+        asked = struct.pack(FLOCK, fcntl.F_WRLCK, os.SEEK_SET, 0, 1, 0)
+        while (now := time.monotonic()) < end:
+            owned = struct.unpack(FLOCK, fcntl.fcntl(lock, F_OFD_GETLK, asked))[0] != fcntl.F_UNLCK
+            if owned or os.fstat(lock.fileno()).st_nlink == 0:
+                return now
+            time.sleep(0.0005)
+        raise busy_computer.Failed(f"celld has not taken an order within {ANSWER_WITHIN} s")
 
     @staticmethod
     def answer(reply):
@@ -167,7 +177,9 @@ def flood(orders, files, over):
     while not over.is_set():
         if len(list(orders.folder.glob("flood_*.command"))) < files // 4:
             for number in range(files):
-                (orders.folder / f"flood_{number:05}.command").write_text(text)
+                draft = orders.folder / ".flood.tmp"
+                draft.write_text(text)
+                draft.rename(orders.folder / f"flood_{number:05}.command")
         for reply in orders.folder.glob("flood_*.reply"):
             with contextlib.suppress(OSError):
                 reply.unlink()
@@ -204,15 +216,36 @@ def configure(folder):
     path.write_text(path.read_text().replace(busy_computer.ADDRESS, ROBOT))
 
 
-def measure(args, cell, relay, orders):
-    """Times of renames, stops and other orders, s; how many stops found the arm at rest, how many were lost."""
+class Times:
+    """Times by what they are of, s; how many stops found the arm at rest, how many were lost."""
+
+    def __init__(self):
+        self.renames, self.stops, self.taken, self.wire, self.answer = [], [], [], [], []
+        self.stood = self.lost = 0
+
+    def report(self):
+        print(f"{'ms':34} {'count':>6} {'median':>8} {'p99':>8} {'worst':>8}")
+        report("rename of a stop, by its sender", self.renames)
+        report("a stop, from then to the wire", self.stops)
+        report("arm, until celld has its file", self.taken)
+        report("arm, to the first move on the wire", self.wire)
+        report("arm, to its answer", self.answer)
+        print(f"{'stops answered, none on the wire':34} {self.stood:6}")
+        print(f"{'stops refused or not answered':34} {self.lost:6}")
+
+
+def measure(args, cell, relay, orders, times):
     be_prompt()
-    renames, stops, others = [], [], []
-    jobs = misses = stood = lost = 0
-    while len(renames) < args.stops:
-        began, answer, seconds = orders.give("arm")
-        others.append(seconds)
+    jobs = misses = 0
+    while len(times.renames) < args.stops:
+        (began, after), reply, lock = orders.leave("arm")
+        times.taken.append(orders.taken(lock) - after)
+        answer = orders.answer(reply)
+        times.answer.append(time.monotonic() - after)
+        lock.close()
         moves = answer and answer["accepted"] and relay.first_after(MOVE, began, NO_JOB_AFTER)
+        if moves:
+            times.wire.append(max(moves - after, 0.0))
         if not moves:
             misses += 1
             if misses > MISSES:
@@ -229,18 +262,17 @@ def measure(args, cell, relay, orders):
         (before, after), reply, lock = orders.leave("abort")
         seen = relay.first_after(STOP, before, STOPS_WITHIN)
         answer = orders.answer(reply)
-        renames.append(after - before)
+        times.renames.append(after - before)
         if seen and answer:
-            stops.append(max(seen - after, 0.0))
+            times.stops.append(max(seen - after, 0.0))
         elif answer and answer["accepted"]:
             # Between two moves the arm is at rest, and nothing has to be sent. That it was is not checked.
-            stood += 1
+            times.stood += 1
         else:
-            lost += 1
+            times.lost += 1
         lock.close()
-        if len(renames) % 10 == 0:
-            print(f"  {len(renames)} of {args.stops}", flush=True)
-    return renames, stops, others, stood, lost
+        if len(times.renames) % 10 == 0:
+            print(f"  {len(times.renames)} of {args.stops}", flush=True)
 
 
 def share(times, part):
@@ -248,8 +280,10 @@ def share(times, part):
 
 
 def report(name, times):
-    line = f"{len(times):6} {share(times, 0.5):8.1f} {share(times, 0.99):8.1f} {max(times) * 1e3:8.1f}"
-    print(f"{name:32} {line}")
+    line = f"{len(times):6}"
+    if times:
+        line += f" {share(times, 0.5):8.1f} {share(times, 0.99):8.1f} {max(times) * 1e3:8.1f}"
+    print(f"{name:34} {line}")
 
 
 def main():
@@ -279,14 +313,13 @@ def main():
         viewers(args.viewers, ROBOT, cell, stack)
         clients(args, folder, stack)
         threading.Thread(target=flood, args=(orders, args.files, over), daemon=True).start()
-        renames, stops, others, stood, lost = measure(args, cell, relay, orders)
-    print(f"{'ms':32} {'count':>6} {'median':>8} {'p99':>8} {'worst':>8}")
-    report("rename of a stop, by its sender", renames)
-    report("a stop, from then to the wire", stops or [0.0])
-    report("arm, to its answer", others)
-    print(f"{'stops answered, none on the wire':32} {stood:6}")
-    print(f"{'stops refused or not answered':32} {lost:6}")
-    sys.exit(int(lost > 0 or not stops))
+        times = Times()
+        try:
+            measure(args, cell, relay, orders, times)
+        finally:
+            # Also of a run that was cut short.
+            times.report()
+    sys.exit(int(times.lost > 0 or not times.stops))
 
 
 if __name__ == "__main__":

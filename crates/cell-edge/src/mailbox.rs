@@ -3,12 +3,16 @@
 //! In: a folder, held open from the start. Out: the names in it, a file with its text, its owner and the
 //! sender's lock, whether the folder is still the one under its name. A sender holds an exclusive lock on
 //! its file until it has its answer; the kernel frees the lock with the process, however that ends, so the
-//! receiver sees whether a client still waits. Nothing here waits for a disk: a file is for the process that
-//! runs now and not for the one after a power cut, so none is synced. Listing needs no new handle, but takes
-//! the lock of the folder that every sender takes too; [`Arrivals`] name new files without it.
+//! receiver sees whether a client still waits. Whether the receiver takes a file or its sender takes it back
+//! is decided by a second lock, on the file's first byte: who gets it first has the file. Nothing here waits
+//! for a disk: a file is for the process that runs now and not for the one after a power cut, so none is
+//! synced. Listing and removing take the lock of the folder that every sender takes too; to learn of a file
+//! ([`Arrivals`]), to read it and to claim it does not.
 
 use crate::files::{FileError, Unfit, draft, share_with_group};
 use crate::reserve;
+use nix::fcntl::{FcntlArg, fcntl};
+use nix::libc::{self, c_int, c_short, flock};
 use rustix::fs::inotify::{self, CreateFlags, WatchFlags};
 use rustix::fs::{AtFlags, CWD, Mode, OFlags, RawDir, RenameFlags, SeekFrom};
 use rustix::io::Errno;
@@ -22,9 +26,25 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// The sender's lock on a file that was received.
+/// A file that was received, kept open: shows whether its sender still waits, and takes it for the receiver.
 #[derive(Clone, Debug)]
 pub struct SenderLock(Arc<File>);
+
+/// The lock on a file's first byte, of this kind. It belongs to the open file and not to the process, and
+/// ends with it.
+fn first_byte(kind: c_int) -> flock {
+    flock { l_type: kind as c_short, l_whence: libc::SEEK_SET as c_short, l_start: 0, l_len: 1, l_pid: 0 }
+}
+
+/// Takes that lock; false where the other side has it.
+fn take_first_byte(file: &File, kind: c_int) -> io::Result<bool> {
+    use nix::errno::Errno;
+    match fcntl(file, FcntlArg::F_OFD_SETLK(&first_byte(kind))) {
+        Ok(_) => Ok(true),
+        Err(Errno::EAGAIN | Errno::EACCES) => Ok(false),
+        Err(errno) => Err(errno.into()),
+    }
+}
 
 impl SenderLock {
     /// The sender still holds its lock.
@@ -38,6 +58,16 @@ impl SenderLock {
                 false
             }
         }
+    }
+
+    /// Takes the file for the receiver, for as long as it is open here; false where its sender has taken it
+    /// back. Several readers of the receiver may take the same file.
+    ///
+    /// # Errors
+    /// The file system has no such locks.
+    pub fn claim(&self) -> io::Result<bool> {
+        // The lock first: a sender that takes its file back removes it while it holds the lock.
+        Ok(take_first_byte(&self.0, libc::F_RDLCK)? && self.lies_there())
     }
 
     /// The file is still in its folder.
@@ -155,7 +185,8 @@ impl Mailbox {
         Ok(Letter { number, text, uid, lock: SenderLock(Arc::new(file)) })
     }
 
-    /// Files that come into the folder from now on.
+    /// Files that are renamed into the folder from now on. Not those that are written in it: the end of
+    /// writing is reported of a file that is gone as well, each time a sender ends.
     ///
     /// # Errors
     /// The system has no watch to give.
@@ -164,15 +195,15 @@ impl Mailbox {
         let events = inotify::init(CreateFlags::CLOEXEC | CreateFlags::NONBLOCK).map_err(fail)?;
         // The folder that is open, whatever its name leads to by now.
         let open = format!("/proc/self/fd/{}", self.folder.as_raw_fd());
-        inotify::add_watch(&events, open, WatchFlags::MOVED_TO | WatchFlags::CLOSE_WRITE).map_err(fail)?;
+        inotify::add_watch(&events, open, WatchFlags::MOVED_TO).map_err(fail)?;
         Ok(Arrivals(events))
     }
 
-    /// Removes a file; false where its sender has taken it back.
+    /// Removes a file; false if it is not there any more.
     ///
     /// # Errors
     /// The system refuses.
-    pub fn claim(&self, name: &str) -> Result<bool, FileError> {
+    pub fn remove(&self, name: &str) -> Result<bool, FileError> {
         match rustix::fs::unlinkat(&self.folder, OsStr::from_bytes(name.as_bytes()), AtFlags::empty()) {
             Ok(()) => Ok(true),
             Err(Errno::NOENT) => Ok(false),
@@ -181,8 +212,8 @@ impl Mailbox {
     }
 }
 
-/// New files of a folder by name, as the kernel reports them. It may lose some (a full queue, a file system
-/// that reports nothing, a hard link), so the folder has to be listed as well.
+/// Names of files that were renamed into a folder, as the kernel reports them. It may lose some (a full
+/// queue, a file system that reports nothing), so the folder has to be listed as well.
 #[derive(Debug)]
 pub struct Arrivals(OwnedFd);
 
@@ -213,7 +244,40 @@ fn is_left(name: &str, suffix: &str) -> bool {
 pub struct Left {
     /// Where.
     pub path: PathBuf,
-    _lock: File,
+    file: File,
+}
+
+impl Left {
+    /// The file lies there, and the receiver has not taken it.
+    ///
+    /// # Errors
+    /// The file system has no such locks.
+    pub fn waits(&self) -> Result<bool, FileError> {
+        let fail = |e| FileError::io("look at the lock of", &self.path, e);
+        let mut found = first_byte(libc::F_WRLCK);
+        fcntl(&self.file, FcntlArg::F_OFD_GETLK(&mut found)).map_err(|errno| fail(errno.into()))?;
+        // The lock ends with the receiver's handle, which it closes when it has removed the file.
+        let is_free = found.l_type == libc::F_UNLCK as c_short;
+        Ok(is_free && self.file.metadata().map_err(fail)?.nlink() > 0)
+    }
+
+    /// Takes the file back and removes it; false if the receiver has taken or removed it. A file that cannot
+    /// be removed is taken back all the same: the receiver does not get it as long as this is kept, and sees
+    /// afterwards that nobody waits.
+    ///
+    /// # Errors
+    /// The file system has no such locks.
+    pub fn take_back(&self) -> Result<bool, FileError> {
+        let fail = |e| FileError::io("take back", &self.path, e);
+        if !take_first_byte(&self.file, libc::F_WRLCK).map_err(fail)? {
+            return Ok(false);
+        }
+        if self.file.metadata().map_err(fail)?.nlink() == 0 {
+            // A receiver that starts removes the files that were left for an earlier one.
+            return Ok(false);
+        }
+        Ok(std::fs::remove_file(&self.path).is_ok() || self.file.metadata().map_err(fail)?.nlink() > 0)
+    }
 }
 
 /// Leaves `bytes` under the first of `names` in `folder` that is free, locked until the result is dropped.
@@ -228,7 +292,7 @@ pub fn leave(folder: &Path, names: impl Iterator<Item = String>, bytes: &[u8]) -
     for name in names {
         let path = folder.join(name);
         match rustix::fs::renameat_with(CWD, &*hidden, CWD, &path, RenameFlags::NOREPLACE) {
-            Ok(()) => return Ok(Left { path, _lock: file }),
+            Ok(()) => return Ok(Left { path, file }),
             Err(Errno::EXIST) => {}
             Err(errno) => return Err(FileError::io("rename to", &path, errno.into())),
         }
@@ -252,12 +316,36 @@ mod tests {
         let letter = mailbox.read("0.command", 100).unwrap();
         assert_eq!(letter.text, "stop");
         assert!(letter.lock.is_held() && letter.lock.is_held());
-        assert!(mailbox.claim("0.command").unwrap() && !mailbox.claim("0.command").unwrap());
+        assert!(mailbox.remove("0.command").unwrap() && !mailbox.remove("0.command").unwrap());
         assert!(letter.lock.is_held(), "also of a file that was removed");
         drop(left);
         assert!(!letter.lock.is_held());
         std::fs::write(folder.path().join("1.command"), "arm").unwrap();
         assert!(!mailbox.read("1.command", 100).unwrap().lock.is_held(), "nobody locked it");
+    }
+
+    #[test]
+    fn a_file_is_taken_by_its_receiver_or_taken_back_by_its_sender_and_never_both() {
+        let folder = tempfile::tempdir().unwrap();
+        let mailbox = Mailbox::open(folder.path()).unwrap();
+        let read = |left: &Left| mailbox.read(left.path.file_name().unwrap().to_str().unwrap(), 100).unwrap();
+        let left = leave(folder.path(), names(), b"arm").unwrap();
+        let (first, second) = (read(&left).lock, read(&left).lock);
+        assert!(left.waits().unwrap());
+        assert!(first.claim().unwrap() && second.claim().unwrap(), "both readers are the receiver's");
+        assert!(!left.waits().unwrap() && !left.take_back().unwrap());
+        assert!(left.path.exists());
+        drop((first, second));
+        // The receiver has ended.
+        let late = read(&left).lock;
+        assert!(left.take_back().unwrap() && !left.path.exists());
+        assert!(!late.claim().unwrap());
+        drop(left);
+        assert!(!late.claim().unwrap(), "gone, though nobody has its lock any more");
+        let cleared = leave(folder.path(), names(), b"arm").unwrap();
+        std::fs::remove_file(&cleared.path).unwrap();
+        assert!(!cleared.waits().unwrap());
+        assert!(!cleared.take_back().unwrap(), "by the receiver that started after the one that had it");
     }
 
     #[test]
@@ -276,7 +364,7 @@ mod tests {
         assert!(mailbox.is_in_place(), "put back");
         std::fs::remove_dir(&path).unwrap();
         assert!(!mailbox.is_in_place());
-        assert!(mailbox.names(".command").is_err() && mailbox.claim("0.command").is_ok_and(|had| !had));
+        assert!(mailbox.names(".command").is_err() && mailbox.remove("0.command").is_ok_and(|had| !had));
     }
 
     #[test]
@@ -294,6 +382,8 @@ mod tests {
         assert!(first.lock.lies_there());
         std::fs::remove_file(&left.path).unwrap();
         assert!(!first.lock.lies_there());
+        drop(left);
+        assert!(arrivals.names(".command").is_empty(), "its sender has ended");
         let _again = leave(folder.path(), names(), b"1").unwrap();
         assert_ne!(mailbox.read("0.command", 100).unwrap().number, first.number, "the first one is open");
         assert_eq!(arrivals.names(".command"), ["0.command"]);

@@ -33,6 +33,8 @@ struct Left {
     text: String,
     /// The sender waits.
     held: Arc<AtomicBool>,
+    /// The daemon has it.
+    claimed: Cell<bool>,
 }
 
 /// The folder. See the module.
@@ -76,11 +78,11 @@ impl Files {
         }
         let number = self.count.get();
         self.count.set(number + 1);
-        // The kernel's queue may overflow: of every three reports one is lost.
-        if !number.is_multiple_of(3) {
+        // The kernel's queue may overflow: of every three reports the last is lost.
+        if number % 3 != 2 {
             self.arrived.borrow_mut().push(name.clone());
         }
-        self.files.borrow_mut().insert(name, Left { number, text, held }).is_none()
+        self.files.borrow_mut().insert(name, Left { number, text, held, claimed: Cell::new(false) }).is_none()
     }
 
     /// The names that the kernel has reported since the last call.
@@ -88,14 +90,16 @@ impl Files {
         self.arrived.take()
     }
 
-    /// Removes a file; false if it is not there any more.
-    pub fn remove(&self, name: &str) -> bool {
-        self.files.borrow_mut().remove(name).is_some()
+    /// The sender takes a file back; false if the daemon has it, or it is not there.
+    pub fn take_back(&self, name: &str) -> bool {
+        let mut files = self.files.borrow_mut();
+        let waits = files.get(name).is_some_and(|left| !left.claimed.get());
+        waits && files.remove(name).is_some()
     }
 
-    /// An order lies there that is taken once it can be read; a stop lies there until it is answered.
+    /// An order lies there that is taken once it can be read.
     pub fn has_orders_to_read(&self) -> bool {
-        self.files.borrow().keys().any(|name| !name.contains(STOP_MARK))
+        self.files.borrow().iter().any(|(name, left)| !name.contains(STOP_MARK) && !left.claimed.get())
     }
 
     fn error(&self, action: &'static str, name: &str, kind: ErrorKind) -> FileError {
@@ -129,8 +133,15 @@ impl Folder for Files {
         Ok(Letter { number: left.number, text: left.text.clone(), uid: 1000, lock: left.held.clone() })
     }
 
-    fn claim(&self, name: &str) -> Result<bool, FileError> {
-        Ok(self.remove(name))
+    fn claim(&self, lock: &Arc<AtomicBool>) -> Result<bool, FileError> {
+        let files = self.files.borrow();
+        let left = files.values().find(|left| Arc::ptr_eq(&left.held, lock));
+        left.inspect(|left| left.claimed.set(true));
+        Ok(left.is_some())
+    }
+
+    fn remove(&self, name: &str) -> Result<bool, FileError> {
+        Ok(self.files.borrow_mut().remove(name).is_some())
     }
 
     fn lies_there(&self, lock: &Arc<AtomicBool>) -> bool {
