@@ -68,6 +68,11 @@ pub(super) enum ClientError {
     )]
     StopNotTaken(u64),
     #[error(
+        "the daemon took the stop and did not answer within {0} s; the stop counts. If the arm moves, use the \
+         emergency stop"
+    )]
+    StopNotAnswered(u64),
+    #[error(
         "the daemon took the command and did not answer within {0} s; unless it was decided by now, nothing is done; \
          see `celld status`"
     )]
@@ -250,7 +255,12 @@ fn give_up(
         return Err(ClientError::Ended { interrupted });
     }
     let seconds = ANSWER_WITHIN.as_secs();
-    Err(if interrupted { ClientError::Interrupted } else { ClientError::NoReply(seconds) })
+    Err(match (stops, interrupted) {
+        (true, true) => ClientError::StopStands,
+        (true, false) => ClientError::StopNotAnswered(seconds),
+        (false, true) => ClientError::Interrupted,
+        (false, false) => ClientError::NoReply(seconds),
+    })
 }
 
 /// The status of the daemon that runs on `state`.

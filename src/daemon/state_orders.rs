@@ -18,7 +18,7 @@ use cell_machine::orders::{Order, Reply};
 use rearrange::document::chain::chain;
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::{Receiver, SendError, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -65,13 +65,12 @@ impl StateOrders {
         sign_ins: Option<Box<dyn SignInHandler>>,
     ) -> (Vec<StateOrders>, Option<FileError>) {
         let reported = Reported::both(&mut inbox);
-        // Stops have a thread that answers them alone: they wait for no other answer.
-        let for_stops = Arc::new(Letters::to(Clerk { memory: memory.clone(), sign_ins: None }));
-        let letters = Arc::new(Letters::to(Clerk { memory, sign_ins }));
+        let for_stops = Clerk { memory: memory.clone(), sign_ins: None };
+        let letters = Arc::new(Letters::to(for_stops, Clerk { memory, sign_ins }));
         let mut sources = vec![StateOrders::reading(Reader::Listing(inbox), letters.clone())];
         match reported {
             Ok([stops, others]) => {
-                sources.push(StateOrders::reading(Reader::Reports(stops), for_stops));
+                sources.push(StateOrders::reading(Reader::Reports(stops), letters.clone()));
                 sources.push(StateOrders::reading(Reader::Reports(others), letters));
                 (sources, None)
             }
@@ -161,28 +160,48 @@ enum Letter {
     SignIn(Taken),
 }
 
-/// The way to the thread that writes.
+/// The way to the two threads that write: the answers to stops wait for no other answer.
 struct Letters {
-    sender: Option<Sender<Letter>>,
-    thread: Option<JoinHandle<()>>,
+    stops: Letterbox,
+    others: Letterbox,
 }
 
 impl Letters {
-    fn to(clerk: Clerk) -> Letters {
-        let (sender, letters) = channel();
-        let thread = std::thread::spawn(move || clerk.run(&letters));
-        Letters { sender: Some(sender), thread: Some(thread) }
+    fn to(for_stops: Clerk, for_others: Clerk) -> Letters {
+        Letters { stops: Letterbox::to(for_stops), others: Letterbox::to(for_others) }
     }
 
     fn write(&self, letter: Letter) {
-        if let Some(sender) = &self.sender {
-            // The end of the thread would be a defect; what it had to write is lost with it.
-            let _ = sender.send(letter);
+        match &letter {
+            Letter::Answer(taken, _) if taken.command.only_stops() => self.stops.write(letter),
+            Letter::Answer(..) | Letter::Refused(_) | Letter::SignIn(_) => self.others.write(letter),
         }
     }
 }
 
-impl Drop for Letters {
+/// The way to a thread that writes.
+struct Letterbox {
+    sender: Option<Sender<Letter>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Letterbox {
+    fn to(clerk: Clerk) -> Letterbox {
+        let (sender, letters) = channel();
+        let thread = std::thread::spawn(move || clerk.run(&letters));
+        Letterbox { sender: Some(sender), thread: Some(thread) }
+    }
+
+    fn write(&self, letter: Letter) {
+        let Some(sender) = &self.sender else { return };
+        // The end of the thread would be a defect; what it had to write is lost, and takes no room.
+        if let Err(SendError(Letter::Answer(taken, _) | Letter::SignIn(taken))) = sender.send(letter) {
+            taken.settle(true);
+        }
+    }
+}
+
+impl Drop for Letterbox {
     /// Every answer is written before the daemon ends.
     fn drop(&mut self) {
         self.sender = None;

@@ -282,13 +282,13 @@ impl<F: Folder> Inbox<F> {
         in_time: impl Fn() -> bool,
     ) -> Vec<Taken<F::Lock>> {
         // In a folder that was moved aside nobody sees the answers.
-        if waiting.is_empty() || !self.folder.is_in_place() {
+        if room == 0 || waiting.is_empty() || !self.folder.is_in_place() {
             return Vec::new();
         }
         let turns: Vec<String> = self.turns(waiting.iter(), String::as_str, room).cloned().collect();
         let mut taken = Vec::new();
-        for name in turns {
-            if !taken.is_empty() && !in_time() {
+        for (count, name) in turns.into_iter().enumerate() {
+            if count > 0 && !in_time() {
                 break;
             }
             let read = self.read(&name).ok().and_then(Result::ok);
@@ -401,8 +401,12 @@ impl<F: Folder> Inbox<F> {
         let (stops, others): (Vec<_>, Vec<_>) = new.partition(|(name, _)| name.contains(STOP_MARK));
         let others = in_turn(others.into_iter().map(|file| (sender_of(&file.0), file)));
         let others = others.into_iter().map(|(_, _, file)| file);
-        let mut found = false;
-        for file in stops.into_iter().chain(others).take(LOOKED_INTO_AT_ONCE) {
+        let (mut found, marked) = (false, stops.len());
+        for (count, file) in stops.into_iter().chain(others).take(LOOKED_INTO_AT_ONCE).enumerate() {
+            if found && count >= marked {
+                // To open the others may wait, and a stop that is found does not.
+                break;
+            }
             match self.read(&file.0) {
                 Ok(Ok(taken)) if taken.command.only_stops() => {
                     found = true;

@@ -169,6 +169,15 @@ fn a_command_whose_file_cannot_be_removed_does_not_count_again_and_takes_no_room
 }
 
 #[test]
+fn files_that_are_gone_again_take_no_more_than_the_time_of_a_look() {
+    let folder = folder();
+    let inbox = Inbox::open(folder.path(), "d1").unwrap();
+    let mut waiting: BTreeSet<String> = (0..9).map(|n| format!("1-7-{n:03}.command")).collect();
+    assert!(inbox.take_reported(&mut waiting, 9, || false).is_empty());
+    assert_eq!(waiting.len(), 8, "one was looked into");
+}
+
+#[test]
 fn an_order_in_a_file_that_is_marked_as_a_stop_is_found_by_the_listing() {
     let folder = folder();
     let mut inbox = Inbox::open(folder.path(), "d1").unwrap();

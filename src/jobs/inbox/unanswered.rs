@@ -67,7 +67,13 @@ impl<L> Unanswered<L> {
 
     /// Forgets those that were kept and are gone by now.
     pub fn forget_gone(&self, lies_there: impl Fn(&L) -> bool) {
-        self.files().retain(|_, file| !file.stays || lies_there(&file.lock));
+        let mut files = self.files();
+        let is_gone = |file: &HandedOn<L>| file.stays && !lies_there(&file.lock);
+        let numbers: Vec<FileNumber> =
+            files.iter().filter(|(_, file)| is_gone(file)).map(|(number, _)| *number).collect();
+        let gone: Vec<_> = numbers.iter().filter_map(|number| files.remove(number)).collect();
+        drop(files);
+        drop(gone);
     }
 
     /// The numbers of all that lie in the folder.
