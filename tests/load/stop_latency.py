@@ -178,8 +178,10 @@ def flood(orders, files, over):
         if len(list(orders.folder.glob("flood_*.command"))) < files // 4:
             for number in range(files):
                 draft = orders.folder / ".flood.tmp"
-                draft.write_text(text)
-                draft.rename(orders.folder / f"flood_{number:05}.command")
+                # At the end the folder goes before this thread does.
+                with contextlib.suppress(FileNotFoundError):
+                    draft.write_text(text)
+                    draft.rename(orders.folder / f"flood_{number:05}.command")
         for reply in orders.folder.glob("flood_*.reply"):
             with contextlib.suppress(OSError):
                 reply.unlink()
