@@ -78,8 +78,8 @@ pub(super) enum ClientError {
     )]
     NoReply(u64),
     #[error(
-        "celld ended before it answered; whether it carried the command out is not known, see `celld status`. If the \
-         arm moves, use the emergency stop"
+        "celld ended before it answered. It may have carried out the command; check with `celld status`. If the arm \
+         moves, use the emergency stop"
     )]
     Ended {
         /// By Ctrl-C.
@@ -171,9 +171,12 @@ pub(super) fn request_at_start(
         let answered = running_daemon(state).and_then(|status| sent(state, &status.daemon, command, stop));
         match answered {
             // Its status may still be that of an earlier daemon, whose name no command reaches.
-            Err(ClientError::NoDaemon { .. } | ClientError::NotTaken(_) | ClientError::NoReply(_))
-                if begun.elapsed() < START_WITHIN && state.is_taken()? =>
-            {
+            Err(
+                ClientError::NoDaemon { .. }
+                | ClientError::NotTaken(_)
+                | ClientError::NoReply(_)
+                | ClientError::Ended { interrupted: false },
+            ) if begun.elapsed() < START_WITHIN && state.is_taken()? => {
                 std::thread::sleep(LOOK_EVERY);
             }
             Ok(reply) if reply.message == FOR_ANOTHER && begun.elapsed() < START_WITHIN => {
@@ -198,7 +201,7 @@ fn sent(
         if let Some(reply) = sent.poll()? {
             return Ok(reply);
         }
-        // Once taken it may have been decided, whatever becomes of the daemon.
+        // A command that was taken may have been decided, even if the daemon has ended since.
         taken |= !sent.waits()?;
         let interrupted = stop.load(Ordering::Relaxed);
         let limit = if taken { ANSWER_WITHIN } else { TAKEN_WITHIN };
@@ -210,13 +213,13 @@ fn sent(
     }
 }
 
-/// How a command stands whose client waits no longer.
+/// A command whose client stops waiting.
 struct GivenUp {
     /// It only stops.
     stops: bool,
-    /// The daemon has had it.
+    /// The daemon took it.
     taken: bool,
-    /// By Ctrl-C; else its time is over.
+    /// By Ctrl-C; otherwise by timeout.
     interrupted: bool,
 }
 

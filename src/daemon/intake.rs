@@ -36,7 +36,7 @@ pub trait Orders: Send + 'static {
     /// Answers the order of this number. Must not wait either.
     fn reply(&mut self, number: u32, reply: &Reply);
 
-    /// It waits for no lock that other processes hold, so that its thread may go before all others.
+    /// It does not wait for other processes, so its thread may have real-time priority.
     fn is_prompt(&self) -> bool {
         false
     }

@@ -1,16 +1,16 @@
 //! Operators' commands in the state folder as the machine's orders, and the answers back.
 //!
 //! In: command files of the daemon's own name, answers. Out: numbered orders, each once; answers in the log
-//! with the user who ordered. Answers are written on a thread of their own, so a slow disk keeps no order
-//! waiting; that thread also remembers a confirmed gripper before it answers, and signs people in at the
-//! page, which is no order to the machine.
+//! with the user who ordered. Two threads write answers, one of them only those to stops, so a slow disk
+//! keeps no order waiting. They also remember a confirmed gripper before they answer, and sign people in at
+//! the page, which is no order to the machine.
 
 use crate::daemon::gripper_memory::GripperMemory;
 use crate::daemon::intake::Orders;
 use crate::jobs::command::{Command, SignIn};
 use crate::jobs::inbox::{Inbox, Mail, Refused, Taken, UNANSWERED_MAX};
 use crate::jobs::reported::{Kind, Reported};
-use crate::jobs::sources::{Batch, Given};
+use crate::jobs::sources::{Batch, Given, OPEN_AT_THE_END};
 use cell_edge::clock::boot_now_s;
 use cell_edge::files::FileError;
 use cell_machine::intake::{Origin, stale};
@@ -22,10 +22,10 @@ use std::sync::mpsc::{Receiver, SendError, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Commands take at most one in so many of the file handles that this process may have.
+/// Commands use at most one of this many file handles.
 const HANDLES_PER_COMMAND: usize = 8;
 
-/// Time limit of one look: to open a file that its sender has just taken back waits for the folder's lock,
+/// Time limit of one look. Opening a file that its sender has just taken back waits for the folder's lock,
 /// and the cell stops after 1 s without a look.
 const LOOK_TIME: Duration = Duration::from_millis(50);
 
@@ -55,10 +55,10 @@ pub struct StateOrders {
 }
 
 impl StateOrders {
-    /// The sources of commands in the folder of `inbox`: by listing, and two that wait for no lock of the
-    /// folder, of stops and of the other commands that the kernel reports. `memory`: where a confirmed
-    /// gripper is remembered; `sign_ins`: of the page, if there is one. Also why there is only the first:
-    /// the system gives no watch on the folder.
+    /// The sources of commands in the folder of `inbox`: one lists the folder, one takes reported stops, one
+    /// takes other reported orders. `memory`: where a confirmed gripper is remembered; `sign_ins`: of the
+    /// page, if there is one. If the system gives no watch on the folder there is only the first source, and
+    /// the error.
     pub fn of(
         mut inbox: Inbox,
         memory: GripperMemory,
@@ -91,11 +91,10 @@ impl StateOrders {
 }
 
 impl Drop for StateOrders {
-    /// What is with the machine may still be carried out, or was.
+    /// The machine may have carried out orders that are still open here.
     fn drop(&mut self) {
         for (_, taken) in self.unanswered.drain(..) {
-            let why = "celld ends; see the status for what was done";
-            self.letters.write(Letter::Answer(taken, Reply::refuse(why)));
+            self.letters.write(Letter::Answer(taken, Reply::refuse(OPEN_AT_THE_END)));
         }
     }
 }
@@ -160,7 +159,7 @@ enum Letter {
     SignIn(Taken),
 }
 
-/// The way to the two threads that write: the answers to stops wait for no other answer.
+/// The two threads that write answers. Answers to stops do not wait for others.
 struct Letters {
     stops: Letterbox,
     others: Letterbox,
@@ -179,7 +178,7 @@ impl Letters {
     }
 }
 
-/// The way to a thread that writes.
+/// A thread that writes answers.
 struct Letterbox {
     sender: Option<Sender<Letter>>,
     thread: Option<JoinHandle<()>>,
@@ -194,7 +193,7 @@ impl Letterbox {
 
     fn write(&self, letter: Letter) {
         let Some(sender) = &self.sender else { return };
-        // The end of the thread would be a defect; what it had to write is lost, and takes no room.
+        // Only a defect ends the thread. Its letters are lost, but must not count as waiting.
         if let Err(SendError(Letter::Answer(taken, _) | Letter::SignIn(taken))) = sender.send(letter) {
             taken.settle(true);
         }

@@ -2,9 +2,9 @@
 //!
 //! In: a folder, through the calls of [`Folder`] alone, so that the closed loop has one without files. Out:
 //! commands, each once, stops before everything else; files that are no commands, with their answers; why
-//! the folder cannot be read. Listing the folder and removing files may wait for its senders, who take the
-//! same lock of the system. So two further threads read the files that the kernel reports
-//! (`jobs::reported`), and files are removed with the answers.
+//! the folder cannot be read. To list the folder or remove a file takes the kernel's lock of the folder,
+//! which senders also take. So two other threads read the files that the kernel reports (`jobs::reported`),
+//! and a file is removed when it is answered.
 
 mod unanswered;
 mod unreported;
@@ -27,15 +27,14 @@ const LOOKED_INTO_AT_ONCE: usize = 32;
 /// Commands other than stops that are taken at a time.
 const TAKEN_AT_ONCE: usize = 32;
 
-/// A command that lies in the folder for so many looks of the listing was not reported: 0.2 s.
+/// Looks of the listing after which a command counts as not reported: 0.2 s.
 const REPORTED_WITHIN_LOOKS: u64 = 40;
 
-/// Commands other than stops wait in the folder while so many are without an answer. Each takes a file
-/// handle.
+/// Most commands, other than stops, that wait for an answer; later ones stay in the folder. Each holds a
+/// file handle.
 pub const UNANSWERED_MAX: usize = 256;
 
-/// The same of one sender: answers may have to wait for the folder's lock, and a script must not take all
-/// the room.
+/// The same for one sender, so that a script does not take the places of all others while answers are slow.
 const UNANSWERED_OF_A_SENDER: usize = 16;
 
 /// The answer to a command that was left for an earlier daemon.
@@ -66,7 +65,8 @@ pub trait Folder {
     /// It is none of at most `max_bytes`, or cannot be read ([`FileError::is_absent`]: it is gone).
     fn read(&self, name: &str, max_bytes: u64) -> Result<Letter<Self::Lock>, FileError>;
 
-    /// Takes the file of this lock, so that its sender cannot take it back any more; false where it has.
+    /// Takes the file of this lock, so that its sender can no longer take it back. False if the sender
+    /// already has.
     ///
     /// # Errors
     /// The system refuses.
@@ -136,7 +136,7 @@ pub struct Taken<L = SenderLock> {
 }
 
 impl<L> Taken<L> {
-    /// The answer was tried; `lies_there`: the file could not be removed.
+    /// To be called after the attempt to answer. `lies_there`: the file could not be removed.
     pub fn settle(&self, lies_there: bool) {
         match lies_there {
             true => self.unanswered.keep(self.number),
@@ -202,10 +202,11 @@ impl Refused {
 pub struct Inbox<F: Folder = Mailbox> {
     folder: F,
     daemon: String,
-    /// Looked into, and in which look last. By name and number: a sender may use a name again.
+    /// Files that were read, with the look in which they were read last. By name and number: a sender may
+    /// use a name again.
     seen: BTreeMap<(String, FileNumber), u64>,
     looks: u64,
-    /// Where reported files are read by others: they get what was not reported, too.
+    /// Set if other threads read the reported files. Orders that were not reported are passed to them here.
     others: Option<Unreported>,
     unanswered: Unanswered<F::Lock>,
 }
@@ -227,7 +228,7 @@ impl Inbox {
         Ok(Inbox::of(mailbox, daemon))
     }
 
-    /// Another reader of the same folder, which knows what this one has handed on.
+    /// Another reader of the same folder. Each command is handed on by one of them only.
     ///
     /// # Errors
     /// The folder cannot be opened.
@@ -250,7 +251,8 @@ impl<F: Folder> Inbox<F> {
         }
     }
 
-    /// From now on another reader takes all commands but stops; it gets those that were not reported here.
+    /// From now on another reader takes all orders except stops. This one passes it the names of those that
+    /// were not reported.
     pub fn leave_to(&mut self, others: Unreported) {
         self.others = Some(others);
     }
@@ -260,12 +262,13 @@ impl<F: Folder> Inbox<F> {
         &self.folder
     }
 
-    /// Orders that are handed on and not answered, by whichever reader.
+    /// Orders that wait for an answer, of all readers of this folder; without stops.
     pub fn unanswered(&self) -> usize {
         self.unanswered.count()
     }
 
-    /// Takes the stops among these files, which leave `waiting`. What is no stop is left to [`Inbox::take`].
+    /// Takes the stops among these files and removes the names from `waiting`. Other files are left to
+    /// [`Inbox::take`].
     pub fn take_reported_stops(&self, waiting: &mut BTreeSet<String>) -> Vec<Taken<F::Lock>> {
         let names: Vec<String> = waiting.iter().take(LOOKED_INTO_AT_ONCE).cloned().collect();
         names.iter().for_each(|name| _ = waiting.remove(name));
@@ -273,15 +276,15 @@ impl<F: Folder> Inbox<F> {
         read.filter(|read| read.command.only_stops()).filter_map(|stop| self.first(stop).ok()?).collect()
     }
 
-    /// As [`Inbox::take_while`], of these files alone; those that were looked into leave `waiting`. One that
-    /// is no command, or cannot be read, is left to [`Inbox::take`].
+    /// Like [`Inbox::take_while`], but only for these files; the names that were read are removed from
+    /// `waiting`. Files that are no command or cannot be read are left to [`Inbox::take`].
     pub fn take_reported(
         &self,
         waiting: &mut BTreeSet<String>,
         room: usize,
         in_time: impl Fn() -> bool,
     ) -> Vec<Taken<F::Lock>> {
-        // In a folder that was moved aside nobody sees the answers.
+        // If the folder was moved, its clients would not see the answers.
         if room == 0 || waiting.is_empty() || !self.folder.is_in_place() {
             return Vec::new();
         }
@@ -314,7 +317,7 @@ impl<F: Folder> Inbox<F> {
             return Ok(None);
         }
         if !self.folder.lies_there(&taken.lock) {
-            // Another reader has handed it on, and it was answered, since it was read here.
+            // After it was read here, another reader handed it on and it was answered.
             self.unanswered.forget(taken.number);
             return Ok(None);
         }
@@ -351,7 +354,7 @@ impl<F: Folder> Inbox<F> {
         }
         let handed_on = self.unanswered.numbers();
         let waiting: Vec<_> = files.iter().filter(|file| !handed_on.contains(&file.1)).collect();
-        // Whoever is to read it: where a file cannot be read, orders do not reach the cell.
+        // If a waiting file cannot be read, orders do not reach the cell. So one is tried in each look.
         let first = waiting.iter().find(|file| self.seen.contains_key(**file));
         if let Some(Err(fault)) = first.map(|file| self.read(&file.0)) {
             mail.fault = fault.or(mail.fault.take());
@@ -366,19 +369,19 @@ impl<F: Folder> Inbox<F> {
         mail
     }
 
-    /// The files whose turn it is for this reader.
+    /// The files that this reader takes or passes on now.
     fn due(&self, waiting: &[&(String, FileNumber)], room: usize) -> Vec<(String, FileNumber)> {
         let after = if self.others.is_some() { REPORTED_WITHIN_LOOKS } else { 0 };
         let is_due = |file: &&(String, FileNumber)| {
             self.seen.get(*file).is_some_and(|look| look + after <= self.looks)
         };
         let waiting = waiting.iter().copied().filter(is_due);
-        // The room of those that go to the other reader is counted there.
+        // The other reader counts the room for the files that it gets.
         let room = if self.others.is_some() { TAKEN_AT_ONCE } else { room };
         self.turns(waiting, |file| &file.0, room).cloned().collect()
     }
 
-    /// Whose turn it is; nobody's that has too many without an answer.
+    /// The files whose turn it is, without those of senders that have too many orders without an answer.
     fn turns<'a, T: 'a>(
         &self,
         waiting: impl Iterator<Item = &'a T>,
@@ -404,7 +407,7 @@ impl<F: Folder> Inbox<F> {
         let (mut found, marked) = (false, stops.len());
         for (count, file) in stops.into_iter().chain(others).take(LOOKED_INTO_AT_ONCE).enumerate() {
             if found && count >= marked {
-                // To open the others may wait, and a stop that is found does not.
+                // Opening other files may wait, and the stop must not.
                 break;
             }
             match self.read(&file.0) {
@@ -420,7 +423,7 @@ impl<F: Folder> Inbox<F> {
         found
     }
 
-    /// Takes a command, or leaves it to the reader whose work that is, or removes a file that is none.
+    /// Takes a command or passes it to the other reader. Removes a file that is no command.
     fn take_one(&self, name: &str, mail: &mut Mail<F::Lock>) {
         match (self.read(name), &self.others) {
             (Ok(Ok(taken)), Some(others)) if !taken.command.only_stops() => others.leave(name.to_string()),

@@ -1,7 +1,8 @@
 //! The readers of command files that the kernel reports: one of stops, one of all other commands.
 //!
-//! In: names that inotify reports, and those that the listing has found in vain. Out: commands. Neither
-//! waits for the folder's lock: what is reported lies there, unless its sender has taken it back.
+//! In: names that inotify reports, and those that only the listing found. Out: commands. Reading a file that
+//! exists does not take the folder's lock. Only a file that its sender has just taken back makes a reader
+//! wait.
 
 use crate::jobs::command::{STOP_MARK, SUFFIX};
 use crate::jobs::inbox::{Inbox, Taken, Unreported};
@@ -9,7 +10,7 @@ use cell_edge::files::FileError;
 use cell_edge::mailbox::Arrivals;
 use std::collections::BTreeSet;
 
-/// Most names that wait for their turn. The listing finds the others again.
+/// Most reported names that wait for their turn. The listing finds the others.
 const WAITING_MAX: usize = 4096;
 
 /// Which files a reader takes.
@@ -40,8 +41,8 @@ pub struct Reported {
 }
 
 impl Reported {
-    /// The readers of stops and of all other commands in the folder of `inbox`, which lists it and leaves to
-    /// the second what was not reported. Each command is handed on by one of the three.
+    /// Creates the reader of stops and the reader of other commands for the folder of `inbox`. `inbox` still
+    /// lists the folder, and passes orders that were not reported to the second reader.
     ///
     /// # Errors
     /// The folder cannot be opened or watched.
@@ -73,7 +74,7 @@ impl Reported {
         self.kind
     }
 
-    /// As [`Inbox::take_while`], of these files.
+    /// Like [`Inbox::take_while`], but only for these files.
     pub fn take_while(&mut self, room: usize, in_time: impl Fn() -> bool) -> Vec<Taken> {
         let reported = self.arrivals.names(SUFFIX).into_iter().filter(|name| self.kind.has(name));
         let left = WAITING_MAX.saturating_sub(self.waiting.len());

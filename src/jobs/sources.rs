@@ -21,6 +21,10 @@ pub fn source_of(number: u64) -> (usize, u32) {
     (usize::try_from(number >> SOURCE_BITS).unwrap_or(usize::MAX), number as u32)
 }
 
+/// The answer to an order that is still open when celld shuts down.
+pub const OPEN_AT_THE_END: &str =
+    "celld is shutting down; check the status to see whether the order was carried out";
+
 /// Whether the client that gave an order still waits for its answer.
 pub type ClientWaits = Arc<dyn Fn() -> bool + Send + Sync>;
 

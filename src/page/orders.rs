@@ -7,7 +7,7 @@
 use crate::daemon::gripper_memory::GripperMemory;
 use crate::daemon::intake::Orders;
 use crate::jobs::order_queue::{OrderQueue, OrderedBy, Waiting};
-use crate::jobs::sources::{Batch, Given};
+use crate::jobs::sources::{Batch, Given, OPEN_AT_THE_END};
 use cell_edge::clock::boot_now_s;
 use cell_machine::orders::{Order, Reply};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -139,8 +139,7 @@ impl Drop for PageOrders {
             answer_all(waits.answers, &Reply::refuse("celld ends; nothing was done"));
         }
         for (_, waits) in self.unanswered.drain(..) {
-            let why = "celld ends; see the status for what was done";
-            answer_all(waits.answers, &Reply::refuse(why));
+            answer_all(waits.answers, &Reply::refuse(OPEN_AT_THE_END));
         }
     }
 }
@@ -238,7 +237,7 @@ mod tests {
         taken(&mut orders, 1).await;
         drop(orders);
         let open = with_the_machine.await.unwrap();
-        assert!(!open.accepted && open.message.contains("see the status"), "{open:?}");
+        assert_eq!(open, Reply::refuse(OPEN_AT_THE_END));
         let ended = order_sender.order(Order::Abort, by("1")).await;
         assert!(!ended.accepted && ended.message.contains("ending"), "{ended:?}");
     }

@@ -3,11 +3,11 @@
 //! In: a folder, held open from the start. Out: the names in it, a file with its text, its owner and the
 //! sender's lock, whether the folder is still the one under its name. A sender holds an exclusive lock on
 //! its file until it has its answer; the kernel frees the lock with the process, however that ends, so the
-//! receiver sees whether a client still waits. Whether the receiver takes a file or its sender takes it back
-//! is decided by a second lock, on the file's first byte: who gets it first has the file. Nothing here waits
-//! for a disk: a file is for the process that runs now and not for the one after a power cut, so none is
-//! synced. Listing and removing take the lock of the folder that every sender takes too; to learn of a file
-//! ([`Arrivals`]), to read it and to claim it does not.
+//! receiver sees whether a client still waits. A second lock, on the file's first byte, decides between the
+//! receiver, which takes the file, and its sender, which takes it back. Nothing here waits for a disk: a
+//! file is for the process that runs now and not for the one after a power cut, so none is synced. Listing
+//! and removing take the kernel's lock of the folder, which every sender takes too. Learning of a file
+//! ([`Arrivals`]), reading and claiming it do not, as long as the file exists.
 
 use crate::files::{FileError, Unfit, draft, share_with_group};
 use crate::reserve;
@@ -26,12 +26,12 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// A file that was received, kept open: shows whether its sender still waits, and takes it for the receiver.
+/// A received file, kept open, with its two locks: the sender's, and the one by which the receiver takes it.
 #[derive(Clone, Debug)]
 pub struct SenderLock(Arc<File>);
 
-/// The lock on a file's first byte, of this kind. It belongs to the open file and not to the process, and
-/// ends with it.
+/// A lock of this kind on a file's first byte. It belongs to the open file, not to the process, and ends
+/// when that is closed.
 fn first_byte(kind: c_int) -> flock {
     flock { l_type: kind as c_short, l_whence: libc::SEEK_SET as c_short, l_start: 0, l_len: 1, l_pid: 0 }
 }
@@ -60,13 +60,13 @@ impl SenderLock {
         }
     }
 
-    /// Takes the file for the receiver, for as long as it is open here; false where its sender has taken it
-    /// back. Several readers of the receiver may take the same file.
+    /// Takes the file for the receiver, until it is closed here. False if its sender has taken it back.
+    /// Several threads of the receiver may take the same file.
     ///
     /// # Errors
     /// The file system has no such locks.
     pub fn claim(&self) -> io::Result<bool> {
-        // The lock first: a sender that takes its file back removes it while it holds the lock.
+        // In this sequence: a sender that takes its file back holds the lock until it has removed the file.
         Ok(take_first_byte(&self.0, libc::F_RDLCK)? && self.lies_there())
     }
 
@@ -185,8 +185,8 @@ impl Mailbox {
         Ok(Letter { number, text, uid, lock: SenderLock(Arc::new(file)) })
     }
 
-    /// Files that are renamed into the folder from now on. Not those that are written in it: the end of
-    /// writing is reported of a file that is gone as well, each time a sender ends.
+    /// Watches for files that are renamed into the folder. Not for files that are written there: the kernel
+    /// reports the end of writing also when a sender closes a file that was already removed.
     ///
     /// # Errors
     /// The system has no watch to give.
@@ -256,14 +256,14 @@ impl Left {
         let fail = |e| FileError::io("look at the lock of", &self.path, e);
         let mut found = first_byte(libc::F_WRLCK);
         fcntl(&self.file, FcntlArg::F_OFD_GETLK(&mut found)).map_err(|errno| fail(errno.into()))?;
-        // The lock ends with the receiver's handle, which it closes when it has removed the file.
+        // The receiver removes the file and then closes it, which ends its lock.
         let is_free = found.l_type == libc::F_UNLCK as c_short;
         Ok(is_free && self.file.metadata().map_err(fail)?.nlink() > 0)
     }
 
-    /// Takes the file back and removes it; false if the receiver has taken or removed it. A file that cannot
-    /// be removed is taken back all the same: the receiver does not get it as long as this is kept, and sees
-    /// afterwards that nobody waits.
+    /// Takes the file back and removes it. False if the receiver has taken or removed it. If the file cannot
+    /// be removed it is still taken back: the receiver cannot take it while this exists, and refuses it
+    /// afterwards, because nobody waits.
     ///
     /// # Errors
     /// The file system has no such locks.
@@ -273,7 +273,7 @@ impl Left {
             return Ok(false);
         }
         if self.file.metadata().map_err(fail)?.nlink() == 0 {
-            // A receiver that starts removes the files that were left for an earlier one.
+            // A new receiver has cleared the folder.
             return Ok(false);
         }
         Ok(std::fs::remove_file(&self.path).is_ok() || self.file.metadata().map_err(fail)?.nlink() > 0)

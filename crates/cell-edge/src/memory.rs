@@ -1,14 +1,14 @@
 //! Memory of a process that runs for weeks and handles a picture every few seconds.
 //!
-//! In: nothing. Out: a setting of the C library's allocator, which Rust and OpenCV share. By itself it
-//! serves ever larger blocks from its arenas: after the first pictures were freed, later ones lie there
-//! between small blocks that stay, and the process grows.
+//! In: nothing. Out: a setting of the C library's allocator, which Rust and OpenCV share. By default it
+//! raises the size up to which it allocates blocks in its arenas. Pictures then lie there between small
+//! blocks that stay, freed pictures leave holes, and the process grows.
 
-/// A block of this size or more gets a mapping of its own, which goes back to the system when the block is
-/// freed, bytes. The allocator starts with this value.
+/// Blocks of at least this many bytes are mapped separately and returned to the system when freed. This is
+/// also the allocator's initial value.
 const LARGE_BLOCK_BYTES: i32 = 128 * 1024;
 
-/// Keeps large blocks out of the arenas from now on; false where the C library cannot.
+/// Keeps large blocks out of the arenas from now on. False if the C library cannot do that.
 #[cfg(target_env = "gnu")]
 #[allow(unsafe_code, reason = "a C interface that takes two numbers")]
 pub fn keep_large_blocks_apart() -> bool {
@@ -16,7 +16,7 @@ pub fn keep_large_blocks_apart() -> bool {
     unsafe { nix::libc::mallopt(nix::libc::M_MMAP_THRESHOLD, LARGE_BLOCK_BYTES) == 1 }
 }
 
-/// Keeps large blocks out of the arenas from now on; false where the C library cannot.
+/// Keeps large blocks out of the arenas from now on. False if the C library cannot do that.
 #[cfg(not(target_env = "gnu"))]
 pub fn keep_large_blocks_apart() -> bool {
     false

@@ -1,10 +1,11 @@
-//! The commands that were handed on, by whichever reader of the folder: each counts once.
+//! The commands that the readers of the folder have handed on. Each counts once.
 //!
-//! In: the file of a command that a reader is about to hand on, and what became of it with its answer. Out:
-//! whether no reader has handed it on before; how many are without an answer. A file is kept open until it
-//! is gone from the folder, so that no other file gets its number.
+//! In: the file of a command that a reader is about to hand on; whether the file was removed with the
+//! answer. Out: whether another reader has handed it on before; how many commands wait for an answer. A file
+//! is kept open until it is removed, so that no other file gets its number.
 
 use cell_edge::mailbox::FileNumber;
+use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -21,7 +22,7 @@ pub struct HandedOn<L> {
     pub stops: bool,
     /// Keeps its file open.
     pub lock: L,
-    /// Its answer was tried, and its file could not be removed.
+    /// It was answered, but its file could not be removed.
     pub stays: bool,
 }
 
@@ -44,20 +45,23 @@ impl<L> Unanswered<L> {
 
     /// Notes a command; false if it is noted already.
     pub fn note(&self, number: FileNumber, file: HandedOn<L>) -> bool {
-        let mut files = self.files();
-        let is_new = !files.contains_key(&number);
-        files.entry(number).or_insert(file);
-        is_new
+        match self.files().entry(number) {
+            Entry::Occupied(_) => false,
+            Entry::Vacant(place) => {
+                place.insert(file);
+                true
+            }
+        }
     }
 
-    /// Its file is gone.
+    /// Its file was removed.
     pub fn forget(&self, number: FileNumber) {
-        // Closed when the others may go on: with its last handle the system frees the file's place.
+        // Dropped outside the lock: closing the last handle of a removed file may wait for the disk.
         let gone = self.files().remove(&number);
         drop(gone);
     }
 
-    /// It has its answer, and its file cannot be removed: it takes no place from others and never counts
+    /// Its file could not be removed with its answer. It no longer counts as waiting, and is never handed on
     /// again.
     pub fn keep(&self, number: FileNumber) {
         if let Some(file) = self.files().get_mut(&number) {
@@ -65,7 +69,7 @@ impl<L> Unanswered<L> {
         }
     }
 
-    /// Forgets those that were kept and are gone by now.
+    /// Forgets the kept files that were removed since.
     pub fn forget_gone(&self, lies_there: impl Fn(&L) -> bool) {
         let mut files = self.files();
         let is_gone = |file: &HandedOn<L>| file.stays && !lies_there(&file.lock);

@@ -1,21 +1,21 @@
-//! Commands that the listing of the folder has found and that nobody reported.
+//! Names of orders that the listing of the folder found without a report of the kernel.
 //!
-//! In: their names. Out: the same, for the reader of reported files: it takes all orders that are no stops,
-//! so that those of a sender keep their order.
+//! In: names from the thread that lists. Out: the same names for the thread that takes all orders except
+//! stops. One thread takes them all, so that the orders of a sender keep their sequence.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Names that the listing leaves to the reader of reported files.
+/// See the module.
 #[derive(Clone, Debug, Default)]
 pub struct Unreported(Arc<Mutex<Vec<String>>>);
 
 impl Unreported {
-    /// Leaves a name.
+    /// Adds a name.
     pub fn leave(&self, name: String) {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).push(name);
     }
 
-    /// Those that were left since the last call.
+    /// The names added since the last call.
     pub fn take(&self) -> Vec<String> {
         std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner))
     }
