@@ -401,8 +401,8 @@ book:
 bench: setup
 	cargo bench
 
-# How soon is a stop on the wire while everything else wants celld's attention? Figures; it fails where a
-# stop is refused or not answered.
+# How soon is a stop on the wire while everything else wants celld's attention? Figures; it fails if a stop
+# is refused, or a stop or an `arm` is not answered.
 bench-stops: setup
 	cargo build --release --quiet --bin celld
 	python3 -B tests/load/stop_latency.py --celld $(BUILD)/release/celld

@@ -237,7 +237,7 @@ async fn live(
     stop: Arc<AtomicBool>,
 ) -> Result<Taken, String> {
     let mut shell = open_shell(config, (unix_now_s() * 1e3) as u64)?;
-    let (camera, lens) = tokio::task::block_in_place(|| camera_and_lens(config))?;
+    let (camera, lens) = camera_and_lens(config)?;
     let detector = Detector::new(DetectSettings::default()).map_err(|error| error.to_string())?;
     let stopped = || stop.load(Ordering::Relaxed);
     let arm = shell.identify(&stopped).await.map_err(|error| chain(&error))?;

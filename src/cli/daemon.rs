@@ -6,6 +6,7 @@
 //! folder is 1.
 
 use crate::cli::in_fleet::{Anew, Parts, Shared, fleet, is_to_start_disarmed, start_with, take_shared};
+use crate::cli::interrupt;
 use crate::config::calibrated::{measured, read_calibration};
 use crate::config::cell::CellConfig;
 use crate::config::empty::compare_with_empty;
@@ -50,7 +51,6 @@ use rearrange::document::chain::chain;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use tokio::signal::unix::{SignalKind, signal};
 
 /// When a name without an address is looked up again.
 const NAMES_AGAIN: std::time::Duration = std::time::Duration::from_secs(2);
@@ -107,7 +107,9 @@ pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
     config.arm_at_start &= !is_to_start_disarmed(&args.state);
     let begin = Begin { config, config_file: args.config.clone(), shared, calibration, state, seed };
     let (anew, state, simulated) = (Anew::default(), begin.state.clone(), begin.config.simulation.is_some());
-    watch_for_the_end(anew.clone());
+    // Once a person has ended celld it must not start again.
+    let ended = anew.clone();
+    interrupt::at_end(move || ended.never());
     let code = with_runtime(stop, |stop| daemon(begin, anew.clone(), stop));
     let next = anew.next(code, || take_shared(&state));
     drop(lock);
@@ -161,20 +163,15 @@ where
     F: Future<Output = Result<(), String>>,
 {
     priority::raise();
-    let runtime =
-        tokio::runtime::Builder::new_multi_thread().enable_all().on_thread_start(priority::raise).build();
-    let runtime = match runtime {
+    interrupt::watch_every(&stop);
+    // One thread: nothing that the loop waits for has to be woken first.
+    let runtime = match tokio::runtime::Builder::new_current_thread().enable_all().build() {
         Ok(runtime) => runtime,
         Err(error) => {
             complain(&error.to_string());
             return 1;
         }
     };
-    let raise = stop.clone();
-    runtime.spawn(async move {
-        end_requested().await;
-        raise.store(true, Ordering::Relaxed);
-    });
     match runtime.block_on(work(stop.clone())) {
         Ok(()) => 0,
         Err(message) => {
@@ -182,32 +179,6 @@ where
             if stop.load(Ordering::Relaxed) { 130 } else { 1 }
         }
     }
-}
-
-/// Whoever ends celld does not find it running again, also where the signal comes while it ends: on a thread
-/// that outlives the daemon's.
-fn watch_for_the_end(anew: Anew) {
-    let watch = move || {
-        if let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_all().build() {
-            runtime.block_on(end_requested());
-            anew.never();
-        }
-    };
-    // Without it a signal in the last moment is lost; those before stop the daemon all the same.
-    let _ = std::thread::Builder::new().name("signals".into()).spawn(watch);
-}
-
-/// Returns at Ctrl-C, at SIGTERM, which `kill` and service managers send, and at SIGHUP, which a terminal
-/// sends when it is closed.
-async fn end_requested() {
-    let kinds = [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()];
-    // Without one of the signals the others still count.
-    let mut signals: Vec<_> = kinds.into_iter().filter_map(|kind| signal(kind).ok()).collect();
-    if signals.is_empty() {
-        return std::future::pending().await;
-    }
-    let arrivals = signals.iter_mut().map(|signal| Box::pin(signal.recv()));
-    futures_util::future::select_all(arrivals).await;
 }
 
 /// The machine and its sockets, for the devices that the configuration names. `seed` differs from run to
@@ -299,12 +270,23 @@ async fn daemon(begin: Begin, anew: Anew, stop: Arc<AtomicBool>) -> Result<(), S
     let recorder = config.recording.as_ref().map(|to| recorder::start(to, Some(lens))).transpose()?;
     let mut lines = Lines { recorder, pictures, watchdog, feed: feed.observer().with_film(film.clone()) };
     let ends = |quiet| stop.load(Ordering::Relaxed) || anew.begins(quiet);
+    // The threads that are started from here on are planners, which leave real time.
+    go_first(&config);
     let ended = shell.run(&mut lines, &ends).await.map_err(|error| error.to_string());
+    // A restart must not inherit it.
+    priority::ordinary();
     lines.watchdog.stopping();
     if let Some(fault) = lines.recorder.as_mut().and_then(Recorder::close) {
         tracing::warn!("recording: {fault}");
     }
     ended
+}
+
+/// Lets the loop go first; simulated time that runs faster than real time would leave it no rest.
+fn go_first(config: &CellConfig) {
+    if config.simulation.is_none_or(|simulated| simulated.clock_factor <= 1.0) {
+        priority::real_time();
+    }
 }
 
 /// What the page shows of the cell.

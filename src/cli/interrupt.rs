@@ -1,7 +1,8 @@
-//! Ctrl-C for commands that compute for a long time.
+//! The signals that end a process, for commands and for the daemon.
 //!
-//! In: the flag that the computation polls. Out: the flag is raised at the first Ctrl-C, so that what is
-//! done can be kept; the second one ends the process at once with exit code 130.
+//! In: the flag that the work polls. Out: the flag is raised at the first signal, so that what is done can
+//! be kept. For commands that compute for a long time a second Ctrl-C ends the process at once with exit
+//! code 130.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,21 +12,30 @@ use tokio::signal::unix::{SignalKind, signal};
 /// Raises `stop` when the process is to end in any of the usual ways: the screen is then given back first.
 pub fn watch_every(stop: &Arc<AtomicBool>) {
     let stop = stop.clone();
-    std::thread::spawn(move || {
+    at_end(move || stop.store(true, Ordering::Relaxed));
+}
+
+/// Calls `then` at Ctrl-C, at SIGTERM, which `kill` and service managers send, or at SIGHUP, which a
+/// terminal sends when it is closed. The thread that waits for them also notices one that comes while the
+/// process ends.
+pub fn at_end(then: impl FnOnce() + Send + 'static) {
+    let wait = move || {
         let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_all().build() else { return };
-        runtime.block_on(async {
-            let signals = [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()];
-            let arrivals = signals.into_iter().filter_map(|kind| signal(kind).ok());
-            let mut arrivals: Vec<_> = arrivals.collect();
-            // Without signals on this system the process ends as ever.
+        let first = async {
+            let kinds = [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()];
+            // Without one of the signals the others still count; without any the process ends as ever.
+            let mut arrivals: Vec<_> = kinds.into_iter().filter_map(|kind| signal(kind).ok()).collect();
             if arrivals.is_empty() {
-                return;
+                return std::future::pending().await;
             }
-            let first = arrivals.iter_mut().map(|arrival| Box::pin(arrival.recv()));
-            futures_util::future::select_all(first).await;
-            stop.store(true, Ordering::Relaxed);
-        });
-    });
+            let arrivals = arrivals.iter_mut().map(|arrival| Box::pin(arrival.recv()));
+            futures_util::future::select_all(arrivals).await;
+        };
+        runtime.block_on(first);
+        then();
+    };
+    // Without a thread for it the process ends as ever.
+    let _ = std::thread::Builder::new().name("signals".into()).spawn(wait);
 }
 
 /// Raises `stop` at Ctrl-C from now on: a signal that comes after this call has returned is not missed.

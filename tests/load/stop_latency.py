@@ -2,18 +2,20 @@
 
 In: the program celld, how many stops, how much beside them. Out: a table of the time from the rename of an
 order's file into the folder of commands to the package with which celld passes it on to the robot: of stops,
-and of `arm`, whose package is a move and has to be planned first; of `arm` also until celld has the file and
-until its answer is there. The robot is a simulated one that waits for nobody, behind a
+and of `arm`, of which that is celld's program or, where it runs, the first move; of `arm` also until celld has the
+file and until its answer is there. The robot is a simulated one that waits for nobody, behind a
 relay that notes when each package left celld. Beside it: clients at nice 10 that give orders as fast as they
 are answered, a script that fills the folder with orders, viewers of the page, a log that nobody reads. The
-exit code is 1 if a stop was refused or not answered. One that was answered with nothing on the wire is counted
-apart: whether the arm stood then is not checked.
+exit code is 1 if a stop was refused, or a stop or an `arm` not answered. A stop that was answered with nothing on
+the wire is counted apart: whether the arm stood then is not checked. All stops come while the arm sets out.
 """
 
 import argparse
+import collections
 import contextlib
 import fcntl
 import json
+import multiprocessing
 import os
 import pathlib
 import random
@@ -32,7 +34,7 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 ROBOT = "127.9.9.3"
 RELAY = "127.9.9.4"
 PORTS = [29999, 30001, 30004]
-RTDE = 30004
+PRIMARY, RTDE = 30001, 30004
 
 # Packages of the robot's interface (RTDE guide): size and type before the content; inputs have this type.
 HEAD = 3
@@ -43,14 +45,22 @@ COMMAND_SIZE = HEAD + 1 + 3 * 4 + 9 * 8
 OPCODE = slice(HEAD + 5, HEAD + 9)
 MOVE, STOP = 1, 5
 
+# Not one of its commands: something for the primary interface, which gets programs only.
+PROGRAM = "program"
+
 # Linux: who has a lock on this part of the file, of those that belong to an open file (struct flock).
 F_OFD_GETLK, FLOCK = 36, "hhqqi"
 
-# Longest waits, s.
+# Longest waits, s. A stop is on the wire before its answer.
 ANSWER_WITHIN = 30
-MOVES_WITHIN = 15
-STOPS_WITHIN = 5
-NO_JOB_AFTER = 3
+MOVES_WITHIN = 5
+STOPS_WITHIN = 0.5
+
+# The first move to a look takes longer than this, s.
+MOVES_FOR = 0.1
+
+# So many jobs wait at the start: each stop ends one.
+JOBS_AHEAD = 20
 
 # So often in a row the arm may stay where it is before that is a fault.
 MISSES = 20
@@ -65,10 +75,10 @@ def be_prompt():
 
 
 class Relay:
-    """Passes bytes on in both directions, and notes when a move and when a stop goes to celld's program."""
+    """Passes bytes on in both directions, and notes programs, and the moves and stops that go to celld's."""
 
     def __init__(self):
-        self.seen, self.condition = {MOVE: [], STOP: []}, threading.Condition()
+        self.seen, self.condition = {MOVE: [], STOP: [], PROGRAM: []}, threading.Condition()
         for port in PORTS:
             listener = socket.create_server((RELAY, port))
             threading.Thread(target=self.serve, args=(listener, port), daemon=True).start()
@@ -80,7 +90,8 @@ class Relay:
                 far = socket.create_connection((ROBOT, port))
                 for one in (near, far):
                     one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                watch = self.commands() if port == RTDE else None
+                watches = {RTDE: self.commands(), PRIMARY: lambda at, _: self.note(at, PROGRAM)}
+                watch = watches.get(port)
                 for ends in ((near, far, watch), (far, near, None)):
                     threading.Thread(target=self.pump, args=ends, daemon=True).start()
 
@@ -119,11 +130,11 @@ class Relay:
                 self.seen[opcode].append(at)
             self.condition.notify_all()
 
-    def first_after(self, opcode, at, within):
-        """When this command went out first after this moment; None if it did not in so many seconds."""
+    def first_after(self, opcodes, at, within):
+        """When one of these went out first after this moment; None if none did in so many seconds."""
         with self.condition:
-            found = lambda: next((one for one in self.seen[opcode][-50:] if one >= at), None)
-            return self.condition.wait_for(found, within)
+            last = lambda: [one for opcode in opcodes for one in self.seen[opcode][-50:] if one >= at]
+            return min(self.condition.wait_for(last, within) or [], default=None)
 
 
 class Orders:
@@ -171,21 +182,21 @@ class Orders:
         return None
 
 
-def flood(orders, files, over):
+def flood(folder, daemon, files):
     """A script's orders, whose sender is gone: as many again as soon as few are left."""
-    text = json.dumps({"daemon": orders.daemon, "boot_s": 1.0, "command": {"do": "resume"}})
-    while not over.is_set():
-        if len(list(orders.folder.glob("flood_*.command"))) < files // 4:
+    text = json.dumps({"daemon": daemon, "boot_s": 1.0, "command": {"do": "resume"}})
+    # The folder goes before this process does.
+    while folder.is_dir():
+        if len(list(folder.glob("flood_*.command"))) < files // 4:
             for number in range(files):
-                draft = orders.folder / ".flood.tmp"
-                # At the end the folder goes before this thread does.
+                draft = folder / ".flood.tmp"
                 with contextlib.suppress(FileNotFoundError):
                     draft.write_text(text)
-                    draft.rename(orders.folder / f"flood_{number:05}.command")
-        for reply in orders.folder.glob("flood_*.reply"):
+                    draft.rename(folder / f"flood_{number:05}.command")
+        for reply in folder.glob("flood_*.reply"):
             with contextlib.suppress(OSError):
                 reply.unlink()
-        over.wait(0.5)
+        time.sleep(0.5)
 
 
 def viewers(count, address, cell, stack):
@@ -219,62 +230,79 @@ def configure(folder):
 
 
 class Times:
-    """Times by what they are of, s; how many stops found the arm at rest, how many were lost."""
+    """Times by what they are of, s; how many stops found the arm at rest, how many orders were lost, and why an
+    armed arm did not move."""
 
     def __init__(self):
         self.renames, self.stops, self.taken, self.wire, self.answer = [], [], [], [], []
-        self.stood = self.lost = 0
+        self.stood = self.lost = self.unanswered = 0
+        self.rests = collections.Counter()
 
     def report(self):
-        print(f"{'ms':34} {'count':>6} {'median':>8} {'p99':>8} {'worst':>8}")
+        print(f"{'ms':38} {'count':>6} {'median':>8} {'p99':>8} {'worst':>8}")
         report("rename of a stop, by its sender", self.renames)
         report("a stop, from then to the wire", self.stops)
         report("arm, until celld has its file", self.taken)
-        report("arm, to the first move on the wire", self.wire)
-        report("arm, to its answer", self.answer)
-        print(f"{'stops answered, none on the wire':34} {self.stood:6}")
-        print(f"{'stops refused or not answered':34} {self.lost:6}")
+        report("arm, to its program or first move", self.wire)
+        report("arm, to its answer; before it a stop", self.answer)
+        print(f"{'stops answered, none on the wire':38} {self.stood:6}")
+        print(f"{'stops refused or not answered':38} {self.lost:6}")
+        print(f"{'arms not answered':38} {self.unanswered:6}")
+        print(f"{'arms with no move, by what stopped it':38} {dict(self.rests)}")
+
+
+def hand_in(folder, number):
+    """One more job, as `celld submit` leaves it, without a process that has to get a processor first."""
+    incoming = folder / "state" / "jobs" / "incoming"
+    draft = incoming / ".job.tmp"
+    draft.write_text(busy_computer.JOB.format(name=f"look-{number}"))
+    draft.rename(incoming / f"look-{number:05}.yaml")
 
 
 def measure(args, cell, relay, orders, times):
     be_prompt()
     jobs = misses = 0
     while len(times.renames) < args.stops:
+        while jobs < len(times.renames) + JOBS_AHEAD:
+            jobs += 1
+            hand_in(cell.folder, jobs)
         (began, after), reply, lock = orders.leave("arm")
         times.taken.append(orders.taken(lock) - after)
+        first = relay.first_after([PROGRAM, MOVE], began, MOVES_WITHIN)
+        if first:
+            times.wire.append(max(first - after, 0.0))
+        moves = relay.first_after([MOVE], began, MOVES_WITHIN)
+        if moves:
+            time.sleep(random.uniform(0, MOVES_FOR))
+            stop(relay, orders, times)
         answer = orders.answer(reply)
         times.answer.append(time.monotonic() - after)
+        times.unanswered += answer is None
         lock.close()
-        moves = answer and answer["accepted"] and relay.first_after(MOVE, began, NO_JOB_AFTER)
-        if moves:
-            times.wire.append(max(moves - after, 0.0))
+        misses = 0 if moves else misses + 1
         if not moves:
-            misses += 1
-            if misses > MISSES:
-                raise busy_computer.Failed(f"the arm does not move; `celld arm` was answered {answer}")
-            # The last job has used up its looks.
-            jobs += 1
-            (cell.folder / "job.yaml").write_text(busy_computer.JOB.format(name=f"look-{jobs}"))
-            cell.call("submit", "job.yaml")
-            moves = answer and answer["accepted"] and relay.first_after(MOVE, began, MOVES_WITHIN)
-        if not moves:
-            continue
-        misses = 0
-        time.sleep(random.uniform(0.05, 0.4))
-        (before, after), reply, lock = orders.leave("abort")
-        seen = relay.first_after(STOP, before, STOPS_WITHIN)
-        answer = orders.answer(reply)
-        times.renames.append(after - before)
-        if seen and answer:
-            times.stops.append(max(seen - after, 0.0))
-        elif answer and answer["accepted"]:
-            # Between two moves the arm is at rest, and nothing has to be sent. That it was is not checked.
-            times.stood += 1
-        else:
-            times.lost += 1
-        lock.close()
+            refused = answer is not None and not answer["accepted"]
+            stopped = (cell.status()["stopped"] or {}).get("code", "nothing")
+            times.rests[f"refused ({stopped})" if refused else stopped] += 1
+        if misses > MISSES:
+            raise busy_computer.Failed(f"the arm rests; `celld arm` was answered {answer}")
         if len(times.renames) % 10 == 0:
             print(f"  {len(times.renames)} of {args.stops}", flush=True)
+
+
+def stop(relay, orders, times):
+    (before, after), reply, lock = orders.leave("abort")
+    answer = orders.answer(reply)
+    seen = relay.first_after([STOP], before, STOPS_WITHIN)
+    times.renames.append(after - before)
+    if seen and answer:
+        times.stops.append(max(seen - after, 0.0))
+    elif answer and answer["accepted"]:
+        # Between two moves the arm is at rest, and nothing has to be sent. That it was is not checked.
+        times.stood += 1
+    else:
+        times.lost += 1
+    lock.close()
 
 
 def share(times, part):
@@ -285,7 +313,7 @@ def report(name, times):
     line = f"{len(times):6}"
     if times:
         line += f" {share(times, 0.5):8.1f} {share(times, 0.99):8.1f} {max(times) * 1e3:8.1f}"
-    print(f"{name:34} {line}")
+    print(f"{name:38} {line}")
 
 
 def main():
@@ -310,18 +338,21 @@ def main():
         cell = busy_computer.Cell(args.celld, folder)
         status = cell.until("celld starts", lambda status: status["state"] == "idle", 120)
         orders = Orders(folder, status["daemon"])
-        over = threading.Event()
-        stack.callback(over.set)
         viewers(args.viewers, ROBOT, cell, stack)
         clients(args, folder, stack)
-        threading.Thread(target=flood, args=(orders, args.files, over), daemon=True).start()
+        # Not a thread: it would hold the interpreter's lock while others have the processor, and the relay waits.
+        script = multiprocessing.get_context("spawn").Process(
+            target=flood, args=(orders.folder, orders.daemon, args.files), daemon=True
+        )
+        script.start()
+        stack.callback(script.kill)
         times = Times()
         try:
             measure(args, cell, relay, orders, times)
         finally:
             # Also of a run that was cut short.
             times.report()
-    sys.exit(int(times.lost > 0 or not times.stops))
+    sys.exit(int(times.lost + times.unanswered > 0 or not times.stops))
 
 
 if __name__ == "__main__":

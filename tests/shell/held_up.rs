@@ -22,6 +22,37 @@ fn cell_that_was_held_up_is_disarmed_stays_and_says_so() {
     assert!(cell.holds(), "what is held stays held");
 }
 
+/// A thread's scheduling is SCHED_FIFO (1), by its `stat` (proc(5)).
+fn is_real_time(stat: &str) -> bool {
+    stat.rsplit_once(") ").and_then(|(_, after)| after.split(' ').nth(38)) == Some("1")
+}
+
+/// So many threads of this process have real-time scheduling.
+fn real_time_threads(process: u32) -> usize {
+    let tasks = std::fs::read_dir(format!("/proc/{process}/task")).expect("it runs").flatten();
+    let stats = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("stat")).ok());
+    stats.filter(|stat| is_real_time(stat)).count()
+}
+
+/// The system gives this user's threads real-time scheduling.
+fn may_have_real_time() -> bool {
+    let tried = std::thread::spawn(|| {
+        cell_edge::priority::real_time();
+        std::fs::read_to_string("/proc/thread-self/stat").is_ok_and(|stat| is_real_time(&stat))
+    });
+    tried.join().expect("it ends")
+}
+
+/// The loop and the two readers of reported orders go before everything ordinary, also after a plan was
+/// made; nothing else does.
+#[test]
+fn cell_keeps_real_time_for_the_loop_and_the_readers_of_orders() {
+    let mut cell = Cell::start("127.7.9.17", &[]);
+    cell.carry();
+    let expected = if may_have_real_time() { 3 } else { 0 };
+    assert_eq!(real_time_threads(cell.daemon().id()), expected);
+}
+
 /// Standard error is a pipe that nobody reads: an abort is taken, and SIGTERM ends the daemon.
 #[test]
 fn cell_with_a_blocked_log_takes_an_abort_and_ends() {

@@ -13,8 +13,12 @@ use thread_priority::{
 /// Above ordinary threads, below those of the system itself, which sit at half of the range.
 const REAL_TIME: u8 = 10;
 
+/// What `thread-priority` makes niceness 0 of, in the class that is the default.
+const USUAL: u8 = 48;
+
 /// Lets other threads go first.
 pub fn lower() {
+    leave_real_time();
     change(10);
 }
 
@@ -36,12 +40,17 @@ pub fn real_time() {
 /// Back among ordinary threads, as they are by default. Without the privilege to go up, a lowered thread
 /// stays where it is.
 pub fn ordinary() {
+    leave_real_time();
+    change(0);
+}
+
+/// A thread inherits real time from the one that started it. Other classes stay as they are.
+fn leave_real_time() {
     let other = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other);
-    // Setting the class also sets a niceness of its own, from which no ordinary user gets back.
-    if thread_schedule_policy() != Ok(other) && !schedule(other, REAL_TIME.try_into()) {
+    let in_real_time = matches!(thread_schedule_policy(), Ok(ThreadSchedulePolicy::Realtime(_)));
+    if in_real_time && !schedule(other, USUAL.try_into()) {
         tracing::debug!("thread keeps its scheduling");
     }
-    change(0);
 }
 
 /// Takes what all others leave (the system's idle class), and so do the threads it starts: for work that
@@ -92,6 +101,29 @@ mod tests {
             niceness()
         });
         assert!(after.join().unwrap() <= before);
+    }
+
+    /// As the loop starts planners. Without the privilege for real time there is nothing to leave.
+    #[test]
+    fn a_thread_that_was_started_in_real_time_can_leave_it() {
+        let after = std::thread::spawn(|| {
+            super::real_time();
+            let started = |leave: fn()| {
+                let thread = std::thread::spawn(move || {
+                    leave();
+                    (class(), niceness())
+                });
+                thread.join().unwrap()
+            };
+            (class(), [super::lower, super::ordinary].map(started))
+        });
+        let (in_real_time, after) = after.join().unwrap();
+        // SCHED_FIFO, then SCHED_OTHER.
+        if in_real_time == 1 {
+            assert_eq!(after, [(0, 10), (0, 0)]);
+        } else {
+            eprintln!("skipped: this user has no real-time scheduling");
+        }
     }
 
     #[test]
