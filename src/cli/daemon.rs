@@ -108,8 +108,8 @@ pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
     let begin = Begin { config, config_file: args.config.clone(), shared, calibration, state, seed };
     let (anew, state, simulated) = (Anew::default(), begin.state.clone(), begin.config.simulation.is_some());
     // Once a person has ended celld it must not start again.
-    let ended = anew.clone();
-    interrupt::at_end(move || ended.never());
+    let restart = anew.clone();
+    interrupt::at_end(move || restart.never());
     let code = with_runtime(stop, |stop| daemon(begin, anew.clone(), stop));
     let next = anew.next(code, || take_shared(&state));
     drop(lock);

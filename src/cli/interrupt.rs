@@ -1,7 +1,7 @@
 //! The signals that end a process, for commands and for the daemon.
 //!
-//! In: the flag that the work polls. Out: the flag is raised at the first signal, so that what is done can
-//! be kept. For commands that compute for a long time a second Ctrl-C ends the process at once with exit
+//! In: a flag that the work checks. Out: the first signal sets the flag, so the work can still save its
+//! results. In commands that compute for a long time, a second Ctrl-C ends the process at once with exit
 //! code 130.
 
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::channel;
 use tokio::signal::unix::{SignalKind, signal};
 
-/// Raises `stop` when the process is to end in any of the usual ways: the screen is then given back first.
+/// Sets `stop` at the first signal that would end the process, so it can restore the screen first.
 pub fn watch_every(stop: &Arc<AtomicBool>) {
     let stop = stop.clone();
     at_end(move || stop.store(true, Ordering::Relaxed));

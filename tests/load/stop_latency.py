@@ -1,9 +1,9 @@
 """How soon a stop is on the wire while everything else wants celld's attention.
 
 In: the program celld, how many stops, how much beside them. Out: a table of the time from the rename of an
-order's file into the folder of commands to the package with which celld passes it on to the robot: of stops,
-and of `arm`, of which that is celld's program or, where it runs, the first move; of `arm` also until celld has the
-file and until its answer is there. The robot is a simulated one that waits for nobody, behind a
+order's file into the folder of commands to the package with which celld passes it on to the robot. For `arm`
+that is celld's program, or the first move if the program runs already; the table also says when celld has the
+file of an `arm` and when it is answered. The robot is a simulated one that waits for nobody, behind a
 relay that notes when each package left celld. Beside it: clients at nice 10 that give orders as fast as they
 are answered, a script that fills the folder with orders, viewers of the page, a log that nobody reads. The
 exit code is 1 if a stop was refused, or a stop or an `arm` not answered. A stop that was answered with nothing on
@@ -340,7 +340,7 @@ def main():
         orders = Orders(folder, status["daemon"])
         viewers(args.viewers, ROBOT, cell, stack)
         clients(args, folder, stack)
-        # Not a thread: it would hold the interpreter's lock while others have the processor, and the relay waits.
+        # Not a thread: it could lose the processor while it holds the interpreter's lock, and the relay would wait.
         script = multiprocessing.get_context("spawn").Process(
             target=flood, args=(orders.folder, orders.daemon, args.files), daemon=True
         )

@@ -13,7 +13,7 @@ use thread_priority::{
 /// Above ordinary threads, below those of the system itself, which sit at half of the range.
 const REAL_TIME: u8 = 10;
 
-/// What `thread-priority` makes niceness 0 of, in the class that is the default.
+/// The value that `thread-priority` maps to niceness 0 in the default class.
 const USUAL: u8 = 48;
 
 /// Lets other threads go first.
@@ -103,7 +103,7 @@ mod tests {
         assert!(after.join().unwrap() <= before);
     }
 
-    /// As the loop starts planners. Without the privilege for real time there is nothing to leave.
+    /// The loop starts planners like this. Without the privilege for real time there is nothing to leave.
     #[test]
     fn a_thread_that_was_started_in_real_time_can_leave_it() {
         let after = std::thread::spawn(|| {
