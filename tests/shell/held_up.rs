@@ -53,6 +53,16 @@ fn cell_keeps_real_time_for_the_loop_and_the_readers_of_orders() {
     assert_eq!(real_time_threads(cell.daemon().id()), expected);
 }
 
+/// Under the C library's allocator the loop waits for threads of low priority. With this variable the other
+/// one prints its name on standard error.
+#[test]
+fn cell_uses_mimalloc() {
+    let mut celld = Command::new(CELLD);
+    let output = celld.arg("--version").env("MIMALLOC_VERBOSE", "1").output().expect("the binary runs");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(said.starts_with("mimalloc: "), "{said}");
+}
+
 /// Standard error is a pipe that nobody reads: an abort is taken, and SIGTERM ends the daemon.
 #[test]
 fn cell_with_a_blocked_log_takes_an_abort_and_ends() {

@@ -1,8 +1,9 @@
 //! Memory of a process that runs for weeks and handles a picture every few seconds.
 //!
-//! In: nothing. Out: a setting of the C library's allocator, which Rust and OpenCV share. By default it
-//! raises the size up to which it allocates blocks in its arenas. Pictures then lie there between small
-//! blocks that stay, freed pictures leave holes, and the process grows.
+//! In: nothing. Out: a setting of the C library's allocator, which serves OpenCV, SQLite and, in
+//! `celld-sim`, Rust too. By default it raises the size up to which it allocates blocks in its arenas.
+//! Pictures then lie there between small blocks that stay, freed pictures leave holes, and the process
+//! grows.
 
 /// Blocks of at least this many bytes are mapped separately and returned to the system when freed. This is
 /// also the allocator's initial value.
