@@ -1,13 +1,15 @@
 """How soon a stop is on the wire while everything else wants celld's attention.
 
 In: the program celld, how many stops, how much beside them. Out: a table of the time from the rename of an
-order's file into the folder of commands to the package with which celld passes it on to the robot. For `arm`
-that is celld's program, or the first move if the program runs already; the table also says when celld has the
-file of an `arm` and when it is answered. The robot is a simulated one that waits for nobody, behind a
-relay that notes when each package left celld. Beside it: clients at nice 10 that give orders as fast as they
-are answered, a script that fills the folder with orders, viewers of the page, a log that nobody reads. The
-exit code is 1 if a stop was refused, or a stop or an `arm` not answered. A stop that was answered with nothing on
-the wire is counted apart: whether the arm stood then is not checked. All stops come while the arm sets out.
+order's file into the folder of commands to the package with which celld passes it on: a stop to the robot, a
+`release` (of a cell at rest) to the gripper, which gets one request at a time, so from the answer to the one
+under way. An `arm` is given when nothing but it is missing; its package is celld's program, or the first move
+if the program runs already. The table also says when celld has the file of an `arm` and when it is answered.
+The robot is a simulated one that waits for nobody, behind a relay that notes when each package left celld.
+Beside it: clients at nice 10 that give orders as fast as they are answered, a script that fills the folder
+with orders, viewers of the page, a log that nobody reads. The exit code is 1 if a stop was refused, or an
+order not answered. A stop that was answered with nothing on the wire is counted apart: whether the arm stood
+then is not checked. All stops come while the arm sets out.
 """
 
 import argparse
@@ -33,8 +35,8 @@ import busy_computer
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 ROBOT = "127.9.9.3"
 RELAY = "127.9.9.4"
-PORTS = [29999, 30001, 30004]
-PRIMARY, RTDE = 30001, 30004
+PORTS = [29999, 30001, 30004, 5020]
+PRIMARY, RTDE, GRIPPER = 30001, 30004, 5020
 
 # Packages of the robot's interface (RTDE guide): size and type before the content; inputs have this type.
 HEAD = 3
@@ -48,6 +50,10 @@ MOVE, STOP = 1, 5
 # Not one of its commands: something for the primary interface, which gets programs only.
 PROGRAM = "program"
 
+# Modbus TCP: where the function code is; these two write registers.
+FUNCTION, WRITES = 7, (6, 16)
+VACUUM, REQUEST, ANSWER = "vacuum", "request", "answer"
+
 # Linux: who has a lock on this part of the file, of those that belong to an open file (struct flock).
 F_OFD_GETLK, FLOCK = 36, "hhqqi"
 
@@ -59,7 +65,7 @@ STOPS_WITHIN = 0.5
 # The first move to a look takes longer than this, s.
 MOVES_FOR = 0.1
 
-# So many jobs wait at the start: each stop ends one.
+# So many jobs wait at the start: each `arm` ends one at most.
 JOBS_AHEAD = 20
 
 # So often in a row the arm may stay where it is before that is a fault.
@@ -75,10 +81,12 @@ def be_prompt():
 
 
 class Relay:
-    """Passes bytes on in both directions, and notes programs, and the moves and stops that go to celld's."""
+    """Passes bytes on in both directions, and notes programs, orders to the gripper, and celld's moves and
+    stops."""
 
     def __init__(self):
-        self.seen, self.condition = {MOVE: [], STOP: [], PROGRAM: []}, threading.Condition()
+        self.seen = {MOVE: [], STOP: [], PROGRAM: [], VACUUM: [], REQUEST: [], ANSWER: []}
+        self.condition = threading.Condition()
         for port in PORTS:
             listener = socket.create_server((RELAY, port))
             threading.Thread(target=self.serve, args=(listener, port), daemon=True).start()
@@ -90,9 +98,13 @@ class Relay:
                 far = socket.create_connection((ROBOT, port))
                 for one in (near, far):
                     one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                watches = {RTDE: self.commands(), PRIMARY: lambda at, _: self.note(at, PROGRAM)}
-                watch = watches.get(port)
-                for ends in ((near, far, watch), (far, near, None)):
+                watches = {
+                    RTDE: self.commands(),
+                    PRIMARY: lambda at, _: self.note(at, PROGRAM),
+                    GRIPPER: self.gripper_order,
+                }
+                back = (lambda at, _: self.note(at, ANSWER)) if port == GRIPPER else None
+                for ends in ((near, far, watches.get(port)), (far, near, back)):
                     threading.Thread(target=self.pump, args=ends, daemon=True).start()
 
     @staticmethod
@@ -100,9 +112,10 @@ class Relay:
         be_prompt()
         with contextlib.suppress(OSError):
             while data := source.recv(65536):
+                at = time.monotonic()
                 sink.sendall(data)
                 if watch:
-                    watch(time.monotonic(), data)
+                    watch(at, data)
         for end in (source, sink):
             with contextlib.suppress(OSError):
                 end.shutdown(socket.SHUT_RDWR)
@@ -124,6 +137,12 @@ class Relay:
 
         return watch
 
+    def gripper_order(self, at, data):
+        # One request at a time: a package is one.
+        self.note(at, REQUEST)
+        if len(data) > FUNCTION and data[FUNCTION] in WRITES:
+            self.note(at, VACUUM)
+
     def note(self, at, opcode):
         with self.condition:
             if opcode in self.seen:
@@ -135,6 +154,13 @@ class Relay:
         with self.condition:
             last = lambda: [one for opcode in opcodes for one in self.seen[opcode][-50:] if one >= at]
             return min(self.condition.wait_for(last, within) or [], default=None)
+
+    def gripper_is_free(self, at):
+        """This moment, or when the answer to the request came that was under way then."""
+        with self.condition:
+            request = max((one for one in self.seen[REQUEST][-50:] if one < at), default=at)
+            answers = [one for one in self.seen[ANSWER][-50:] if one >= request]
+        return max(min(answers, default=at), at)
 
 
 class Orders:
@@ -224,7 +250,9 @@ def configure(folder):
     busy_computer.configure(folder, 1)
     path = folder / "config" / "cell.yaml"
     text = path.read_text().replace(busy_computer.ADDRESS, ROBOT)
-    path.write_text(text.replace(f"robot: {{host: {ROBOT}}}", f"robot: {{host: {RELAY}}}"))
+    for device in ("robot", "gripper"):
+        text = text.replace(f"{device}: {{host: {ROBOT}", f"{device}: {{host: {RELAY}")
+    path.write_text(text)
     path = folder / "config" / "sim.yaml"
     path.write_text(path.read_text().replace(busy_computer.ADDRESS, ROBOT))
 
@@ -234,7 +262,8 @@ class Times:
     armed arm did not move."""
 
     def __init__(self):
-        self.renames, self.stops, self.taken, self.wire, self.answer = [], [], [], [], []
+        self.renames, self.stops, self.releases = [], [], []
+        self.taken, self.wire, self.answer = [], [], []
         self.stood = self.lost = self.unanswered = 0
         self.rests = collections.Counter()
 
@@ -242,13 +271,30 @@ class Times:
         print(f"{'ms':38} {'count':>6} {'median':>8} {'p99':>8} {'worst':>8}")
         report("rename of a stop, by its sender", self.renames)
         report("a stop, from then to the wire", self.stops)
+        report("a release, from then to the wire", self.releases)
         report("arm, until celld has its file", self.taken)
         report("arm, to its program or first move", self.wire)
         report("arm, to its answer; before it a stop", self.answer)
         print(f"{'stops answered, none on the wire':38} {self.stood:6}")
         print(f"{'stops refused or not answered':38} {self.lost:6}")
-        print(f"{'arms not answered':38} {self.unanswered:6}")
+        print(f"{'other orders not answered':38} {self.unanswered:6}")
         print(f"{'arms with no move, by what stopped it':38} {dict(self.rests)}")
+
+
+def waits_for_arm(cell):
+    """A job is there, the arm stands, and an `arm` would not be refused."""
+    status = json.loads((cell.folder / "state" / "status.json").read_text())
+    return status["job"] and not status["moving"] and not status["armed"] and status["arm_refused"] is None
+
+
+def wait_until_ready_to_arm(cell):
+    end = time.monotonic() + ANSWER_WITHIN
+    while time.monotonic() < end:
+        with contextlib.suppress(OSError, ValueError):
+            if waits_for_arm(cell):
+                return
+        time.sleep(0.01)
+    raise busy_computer.Failed(f"no job waits for `celld arm` within {ANSWER_WITHIN} s")
 
 
 def hand_in(folder, number):
@@ -263,9 +309,11 @@ def measure(args, cell, relay, orders, times):
     be_prompt()
     jobs = misses = 0
     while len(times.renames) < args.stops:
-        while jobs < len(times.renames) + JOBS_AHEAD:
+        while jobs < len(times.taken) + JOBS_AHEAD:
             jobs += 1
             hand_in(cell.folder, jobs)
+        wait_until_ready_to_arm(cell)
+        release(relay, orders, times)
         (began, after), reply, lock = orders.leave("arm")
         times.taken.append(orders.taken(lock) - after)
         first = relay.first_after([PROGRAM, MOVE], began, MOVES_WITHIN)
@@ -275,6 +323,9 @@ def measure(args, cell, relay, orders, times):
         if moves:
             time.sleep(random.uniform(0, MOVES_FOR))
             stop(relay, orders, times)
+        else:
+            # An arm that is armed and does not move is disarmed again.
+            orders.leave("disarm")[2].close()
         answer = orders.answer(reply)
         times.answer.append(time.monotonic() - after)
         times.unanswered += answer is None
@@ -288,6 +339,15 @@ def measure(args, cell, relay, orders, times):
             raise busy_computer.Failed(f"the arm rests; `celld arm` was answered {answer}")
         if len(times.renames) % 10 == 0:
             print(f"  {len(times.renames)} of {args.stops}", flush=True)
+
+
+def release(relay, orders, times):
+    (before, after), reply, lock = orders.leave("release")
+    seen = relay.first_after([VACUUM], before, MOVES_WITHIN)
+    if seen:
+        times.releases.append(max(seen - relay.gripper_is_free(after), 0.0))
+    times.unanswered += orders.answer(reply) is None
+    lock.close()
 
 
 def stop(relay, orders, times):
