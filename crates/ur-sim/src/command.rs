@@ -23,6 +23,7 @@ use crate::facts;
 use crate::faults::Planned;
 use crate::faults::read::read_faults;
 use crate::motion::belt::TableBelt;
+use crate::motion::rounding::BlendConfig;
 use crate::render::lens::CameraTruth;
 use crate::robot_server::{RobotPorts, TOOL_SERIAL_PORT};
 use crate::world::drive::Drive;
@@ -324,6 +325,7 @@ fn controller_config(file: &SimFile) -> ControllerConfig {
         belts: file.conveyors.iter().map(|conveyor| table_belt(conveyor, &file.encoders)).collect(),
         control: file.control,
         safety: file.safety.clone(),
+        blends: BlendConfig { entry_speed: file.entry_speed, seed: file.seed },
         programs: file.programs.clone(),
         dh: calibrated(&file.model.dh, file.seed, file.errors.dh_m, file.errors.dh_rad),
         ..ControllerConfig::of(&file.model, file.seed)

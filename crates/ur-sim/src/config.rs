@@ -4,6 +4,7 @@
 //! which `celld sim` builds its world. The nominal values are those the cell's own configuration states; the
 //! `errors` say how far, by seed, the simulated truth deviates from them.
 
+pub mod blend;
 pub mod conveyors;
 pub mod gripper;
 pub mod load;
@@ -15,6 +16,7 @@ pub mod software;
 use crate::config::conveyors::ConveyorConfig;
 use crate::controller::modes::Control;
 use crate::controller::program_files::ProgramFiles;
+use crate::motion::rounding::EntrySpeed;
 use crate::motion::safety::SafetyLimits;
 use crate::world::drive::Drive;
 use cell_parts::grid::MarkerGrid;
@@ -69,6 +71,8 @@ pub struct SimFile {
     pub control: Control,
     /// Safety configuration of the controller.
     pub safety: SafetyLimits,
+    /// At which speed the arm passes blends.
+    pub entry_speed: EntrySpeed,
     /// Joint pose at power-on.
     pub start_pose: Joints,
     /// Folder with the scripts that the dashboard loads, relative to the file's own; absent: none.

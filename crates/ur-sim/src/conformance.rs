@@ -32,6 +32,12 @@ const MOTION: &[Claim] = &[
         "the_corner_is_passed_within_the_blend_radius",
     ),
     Claim(
+        "Speed in a blend",
+        Grade::Modelled,
+        "not published; braked before the blend, or, by configuration, kept, scaled or raised, and then begun early or late",
+        "a_blend_is_passed_at_the_speed_of_its_reading",
+    ),
+    Claim(
         "Overlapping blends",
         Grade::Modelled,
         "of movej and movel: the second of two moves is skipped; the words are assumed",

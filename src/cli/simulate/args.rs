@@ -1,8 +1,13 @@
 //! Arguments of `celld simulate`, and the trace that they may want.
 
 use crate::pair::Pair;
+use crate::pair::camera_view::SightKind;
+use crate::pair::stage::Stage;
+use crate::pair::table::stage;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
+use ur_sim::motion::rounding::{BlendConfig, ENTRY_SPEEDS, EntrySpeed};
 
 /// `celld simulate`
 #[derive(Args, Clone, Debug)]
@@ -42,6 +47,10 @@ pub struct SimulateArgs {
     /// How the cell sees: rendered pictures with the real detector, or marker corners with its noise
     #[arg(long, value_enum, default_value_t = SightArg::Corners)]
     pub(super) eye: SightArg,
+    /// At which speed the simulated arm passes blends; see `blend:` in config/sim.yaml. celld breaks rules
+    /// in all but braked. With those only the rules are checked, not the pages in docs/
+    #[arg(long, value_name = "SPEED", value_parser = entry_speeds(), default_value = "braked")]
+    pub(super) blend: EntrySpeed,
     /// Write what happened, line by line, to this file; the same seed writes the same bytes
     #[arg(long, value_name = "FILE")]
     pub(super) trace: Option<PathBuf>,
@@ -59,6 +68,33 @@ pub enum SightArg {
     Pictures,
     /// Marker corners with the detector's noise.
     Corners,
+}
+
+/// The speeds by their names.
+fn entry_speeds() -> impl TypedValueParser<Value = EntrySpeed> {
+    let names = ENTRY_SPEEDS.iter().map(|(name, _)| *name);
+    let known = |name: String| ENTRY_SPEEDS.iter().find(|(known, _)| *known == name);
+    PossibleValuesParser::new(names).map(move |name| known(name).map_or(EntrySpeed::Braked, |(_, it)| *it))
+}
+
+impl SimulateArgs {
+    /// The closed loop's cell with this seed.
+    pub(super) fn stage(&self, seed: u64, eye: SightKind) -> Result<Stage, String> {
+        let mut stage = stage(seed, eye)?;
+        stage.controller.blends = BlendConfig { entry_speed: self.blend, seed };
+        Ok(stage)
+    }
+
+    /// The arm is that of the pages in docs/.
+    pub(super) fn brakes(&self) -> bool {
+        self.blend == EntrySpeed::Braked
+    }
+
+    /// What the command that repeats a failure needs besides, after a blank.
+    pub(super) fn repeat_arguments(&self) -> String {
+        let name = ENTRY_SPEEDS.iter().find(|(_, speed)| *speed == self.blend).map(|(name, _)| *name);
+        name.filter(|_| !self.brakes()).map(|name| format!(" --blend {name}")).unwrap_or_default()
+    }
 }
 
 /// Writes the trace where it is wanted.

@@ -9,7 +9,6 @@ use crate::cli::progress::Progress;
 use crate::pair::camera_view::SightKind;
 use crate::pair::cuts::{cut, moments};
 use crate::pair::stage::Stage;
-use crate::pair::table::stage;
 use cell_edge::terminal::{complain, print};
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
 use std::sync::Arc;
@@ -69,7 +68,7 @@ fn all_cases(args: &SimulateArgs) -> Result<Vec<Case>, String> {
     let seeds = args.seed..args.seed.saturating_add(args.jobs as u64);
     let bar = Progress::new(args.jobs, "jobs carried out whole");
     let count = |seed| {
-        let stage = Arc::new(stage(seed, SightKind::Corners)?);
+        let stage = Arc::new(args.stage(seed, SightKind::Corners)?);
         let count = moments(&stage, seed)?;
         bar.inc();
         Ok((stage, seed, count))
@@ -91,8 +90,10 @@ fn one(args: &SimulateArgs, case: &Case, bar: &Progress) -> Result<bool, String>
     let (found, pair) = cut(stage, *seed, *moment, args.trace.is_some())?;
     keep_trace(args, &pair)?;
     if !found.faults.is_empty() {
-        let again =
-            format!("repeat with: celld simulate --faults cuts --jobs 1 --seed {seed} --only {moment}");
+        let again = format!(
+            "repeat with: celld simulate --faults cuts --jobs 1 --seed {seed} --only {moment}{}",
+            args.repeat_arguments()
+        );
         let faults = found.faults.join("\n    ");
         bar.suspend(|| print(&format!("seed {seed}, after effect {moment}\n    {faults}\n    {again}\n")));
     }

@@ -8,7 +8,6 @@ use super::args::{SimulateArgs, keep_trace};
 use crate::pair::Choice;
 use crate::pair::camera_view::SightKind;
 use crate::pair::endurance::{Course, Period, endurance};
-use crate::pair::table::stage;
 use cell_edge::terminal::{complain, print};
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -29,7 +28,7 @@ pub(super) fn run(args: &SimulateArgs, hours: u32) -> u8 {
 
 fn hours_of_work(args: &SimulateArgs, hours: u32) -> Result<u8, String> {
     let course = Course { periods: hours, period_s: 3600.0, fault_every_s: FAULT_EVERY_S };
-    let stage = stage(args.seed, SightKind::Corners)?;
+    let stage = args.stage(args.seed, SightKind::Corners)?;
     let choice = Choice { keep_trace: args.trace.is_some(), ..Choice::of(args.seed) };
     let began = Instant::now();
     let mut sizes: Vec<(Period, u64)> = Vec::new();
@@ -43,7 +42,8 @@ fn hours_of_work(args: &SimulateArgs, hours: u32) -> Result<u8, String> {
     wrong.iter().for_each(|fault| print(&format!("  {fault}\n")));
     print(&growth(&sizes, began.elapsed().as_secs_f64()));
     if !wrong.is_empty() {
-        complain(&format!("repeat with: celld simulate --seed {} --hours {hours}", args.seed));
+        let again = args.repeat_arguments();
+        complain(&format!("repeat with: celld simulate --seed {} --hours {hours}{again}", args.seed));
     }
     Ok(u8::from(!wrong.is_empty()))
 }

@@ -10,7 +10,6 @@ use crate::pair::camera_view::SightKind;
 use crate::pair::hands::hands;
 use crate::pair::shell_jobs::shell_job;
 use crate::pair::stage::Stage;
-use crate::pair::table::stage;
 use cell_edge::terminal::{complain, print};
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
 use std::time::Instant;
@@ -35,11 +34,14 @@ fn run(args: &SimulateArgs, name: &str, what: &str, job: Job) -> u8 {
     let ran: Result<Vec<usize>, String> = seeds
         .into_par_iter()
         .map(|seed| {
-            let (faults, pair) = job(&stage(seed, SightKind::Corners)?, seed, args.trace.is_some())?;
+            let (faults, pair) = job(&args.stage(seed, SightKind::Corners)?, seed, args.trace.is_some())?;
             keep_trace(args, &pair)?;
             bar.inc();
             if !faults.is_empty() {
-                let again = format!("repeat with: celld simulate --faults {name} --jobs 1 --seed {seed}");
+                let again = format!(
+                    "repeat with: celld simulate --faults {name} --jobs 1 --seed {seed}{}",
+                    args.repeat_arguments()
+                );
                 bar.suspend(|| print(&format!("seed {seed}\n    {}\n    {again}\n", faults.join("\n    "))));
             }
             Ok(faults.len())

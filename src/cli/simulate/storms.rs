@@ -8,7 +8,6 @@ use crate::cli::progress::Progress;
 use crate::pair::Choice;
 use crate::pair::camera_view::SightKind;
 use crate::pair::storm::{Aftermath, Strike, fewest, storm, strikes};
-use crate::pair::table::stage;
 use cell_edge::terminal::{complain, print};
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
 use std::collections::BTreeMap;
@@ -41,7 +40,7 @@ pub(super) fn run(args: &SimulateArgs) -> u8 {
 }
 
 fn one(args: &SimulateArgs, seed: u64, bar: &Progress) -> Result<(usize, Aftermath), String> {
-    let stage = stage(seed, SightKind::Corners)?;
+    let stage = args.stage(seed, SightKind::Corners)?;
     let all = strikes(seed);
     let chosen = chosen(args.only.as_deref(), &all)?;
     let choice = Choice { keep_trace: args.trace.is_some(), replay: args.replay, ..Choice::of(seed) };
@@ -53,7 +52,7 @@ fn one(args: &SimulateArgs, seed: u64, bar: &Progress) -> Result<(usize, Afterma
     }
     if !aftermath.faults.is_empty() {
         let needed = fewest(&stage, choice, &chosen);
-        bar.suspend(|| print(&failure(seed, &chosen, &needed, &aftermath)));
+        bar.suspend(|| print(&failure(args, seed, &chosen, &needed, &aftermath)));
     }
     Ok((chosen.len(), aftermath))
 }
@@ -71,7 +70,13 @@ fn chosen(only: Option<&str>, all: &[Strike]) -> Result<Vec<Strike>, String> {
     Ok(chosen)
 }
 
-fn failure(seed: u64, chosen: &[Strike], needed: &[usize], aftermath: &Aftermath) -> String {
+fn failure(
+    args: &SimulateArgs,
+    seed: u64,
+    chosen: &[Strike],
+    needed: &[usize],
+    aftermath: &Aftermath,
+) -> String {
     let mut text = format!("seed {seed}\n");
     for number in needed {
         let strike = &chosen[*number];
@@ -83,7 +88,8 @@ fn failure(seed: u64, chosen: &[Strike], needed: &[usize], aftermath: &Aftermath
     let numbers: Vec<String> = needed.iter().map(usize::to_string).collect();
     let numbers = numbers.join(",");
     text + &format!(
-        "    repeat with: celld simulate --faults random --jobs 1 --seed {seed} --only {numbers:?}\n"
+        "    repeat with: celld simulate --faults random --jobs 1 --seed {seed} --only {numbers:?}{}\n",
+        args.repeat_arguments()
     )
 }
 

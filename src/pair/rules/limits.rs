@@ -1,9 +1,11 @@
 //! The rules about the limits of every motion: range, speed and acceleration of the joints; box and speed of
 //! a calibration round.
 //!
-//! In: the arm of every frame, the limits of the cell's own configuration, the round as it was ordered. Out:
-//! breaches. The limits that the machine was given do not count. A stop may be harder than a motion, and
-//! a corner that is cut turns: a blend of two moves of acceleration `a` takes up to `2 a`.
+//! In: the arm of every frame, the limits of the cell's own configuration, the round as it was ordered.
+//! Out: breaches. The limits that the machine was given do not count. A stop may be harder than a motion,
+//! and a corner that is cut turns: a blend of two moves of acceleration `a` takes up to `2 a`. A corner
+//! that is passed without braking has the acceleration of its speed and radius, which is not judged here;
+//! the rule for what is held still applies.
 
 use crate::pair::rules::found::Found;
 use crate::pair::rules::rule::Rule;
@@ -95,7 +97,7 @@ impl Limits {
             }
             let acceleration = truth.qdd[joint];
             let settled = truth.frame > self.disturbed + SETTLES_FRAMES;
-            if settled && acceleration.abs() > CORNER * limits.joint_acceleration {
+            if settled && !truth.rounds && acceleration.abs() > CORNER * limits.joint_acceleration {
                 let detail = format!("joint {} at {acceleration:.1} rad/s2", joint + 1);
                 found.push(Rule::JointAcceleration, detail);
             }

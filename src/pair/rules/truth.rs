@@ -35,6 +35,8 @@ pub(super) struct Truth<'a> {
     pub qd: [f64; 6],
     /// Joint accelerations, rad/s2.
     pub qdd: [f64; 6],
+    /// The controller rounds a corner at a speed that celld does not command.
+    pub rounds: bool,
     /// The flange in the base frame.
     pub flange: Isometry3<f64>,
     /// A joint moves.
@@ -88,6 +90,7 @@ impl<'a> Truth<'a> {
             q: core.mover.q(),
             qd,
             qdd: core.mover.qdd(),
+            rounds: core.mover.rounds_corner(),
             flange: core.mover.flange(),
             moves: qd.iter().any(|speed| speed.abs() > MOVES_RAD_S),
             nonce: core.registers.output_ints[NONCE],

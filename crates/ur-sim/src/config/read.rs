@@ -3,6 +3,7 @@
 //! In: the text and its name. Out: the checked configuration of the simulated cell, or every complaint at
 //! once. The deviations of the simulated truth have documented defaults: they are chosen, not measured.
 
+use crate::config::blend::entry_speed;
 use crate::config::conveyors::conveyors;
 use crate::config::gripper::gripper;
 use crate::config::programs::programs;
@@ -12,6 +13,7 @@ use crate::config::{SimErrors, SimFile, SimHandBoard, SimMount, SimPorts};
 use crate::controller::config::SOFTWARE;
 use crate::controller::modes::Control;
 use crate::controller::program_files::ProgramFiles;
+use crate::motion::rounding::EntrySpeed;
 use crate::motion::safety::SafetyLimits;
 use crate::robot_server::{ROBOT_API_PORT, ROBOTIQ_PORT};
 use cell_parts::fields::{each, joints_deg, optional, port, required_number, transform};
@@ -50,6 +52,7 @@ pub const SIM_KEYS: &[&str] = &[
     "start_pose_deg",
     "control_mode",
     "safety",
+    "blend",
     "programs",
     "errors",
 ];
@@ -84,9 +87,7 @@ pub fn read_sim(text: &str, source: &str) -> Result<SimFile, Diagnostics> {
 }
 
 fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFile> {
-    if let Some(at) = fields.required("version", decoder) {
-        decoder.integer(&at, 1..=1);
-    }
+    fields.required("version", decoder).and_then(|at| decoder.integer(&at, 1..=1));
     let bind = fields.required("bind", decoder).and_then(|at| address(decoder, &at));
     let ports = fields.required("ports", decoder).and_then(|at| ports(decoder, &at));
     let seed = optional(decoder, fields, "seed", 0, |decoder, at| decoder.integer(at, 0..=i64::MAX));
@@ -112,6 +113,7 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
     let control = optional(decoder, fields, "control_mode", Control::Remote, control);
     let conveyors = optional(decoder, fields, "conveyors", Vec::new(), conveyors);
     let safety = optional(decoder, fields, "safety", SafetyLimits::default(), safety);
+    let entry_speed = optional(decoder, fields, "blend", EntrySpeed::Braked, entry_speed);
     let programs = optional(decoder, fields, "programs", (None, ProgramFiles::default()), programs);
     let errors = optional(decoder, fields, "errors", DEFAULT_ERRORS, errors);
     let (size, (program_folder, programs), (gripper, drive)) = (size?, programs?, gripper?);
@@ -137,6 +139,7 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
         conveyors: conveyors?,
         control: control?,
         safety: safety?,
+        entry_speed: entry_speed?,
         program_folder,
         programs,
         errors: errors?,

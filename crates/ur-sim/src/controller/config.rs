@@ -6,6 +6,7 @@
 use crate::controller::modes::Control;
 use crate::controller::program_files::ProgramFiles;
 use crate::motion::belt::TableBelt;
+use crate::motion::rounding::BlendConfig;
 use crate::motion::safety::SafetyLimits;
 use cell_values::units::Joints;
 use rand::{RngExt, SeedableRng};
@@ -45,6 +46,8 @@ pub struct ControllerConfig {
     pub control: Control,
     /// Safety configuration.
     pub safety: SafetyLimits,
+    /// At which speed and where it passes blends.
+    pub blends: BlendConfig,
     /// Tool centre point of the installation, in the flange frame.
     pub tcp: [f64; 6],
     /// Payload of the installation, kg.
@@ -77,6 +80,7 @@ impl ControllerConfig {
             running: false,
             control: Control::Remote,
             safety: SafetyLimits::default(),
+            blends: BlendConfig::default(),
             tcp: [0.0; 6],
             payload: 0.0,
             encoders: [0.0; 2],

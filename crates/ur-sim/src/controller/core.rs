@@ -138,6 +138,7 @@ impl Core {
             config,
             secondary: false,
         };
+        core.mover.set_blends(core.config.blends);
         core.set_tcp(core.config.tcp);
         core.refresh();
         core

@@ -196,7 +196,8 @@ fn limits_of(core: &Core, call: &Call<'_>) -> Result<MoveLimits, String> {
             false => (OPTIMAL_TOOL_ACCELERATION, arm.tool_speed),
         };
         let (acceleration, speed) = (acceleration * share(1)?, speed * share(2)?);
-        return Ok(MoveLimits { acceleration, speed, seconds: 0.0, blend: not_negative(call, 3)? });
+        let blend = not_negative(call, 3)?;
+        return Ok(MoveLimits { acceleration, speed, seconds: 0.0, blend, keeps: false });
     }
     let (a, v) = if joint { (1.4, 1.05) } else { (1.2, 0.25) };
     let (acceleration, speed) = (positive(call, first, a)?, positive(call, first + 1, v)?);
@@ -205,7 +206,7 @@ fn limits_of(core: &Core, call: &Call<'_>) -> Result<MoveLimits, String> {
         "movej" | "movel" => (not_negative(call, 3)?, not_negative(call, 4)?),
         _ => (0.0, not_negative(call, first + 2)?),
     };
-    Ok(MoveLimits { acceleration, speed, seconds, blend })
+    Ok(MoveLimits { acceleration, speed, seconds, blend, keeps: false })
 }
 
 fn pose_of(core: &Core, call: &Call<'_>, index: usize) -> Result<Isometry3<f64>, String> {

@@ -3,8 +3,9 @@
 //! In: move, servo, speed and stop commands, and one step per 2 ms frame. Out: joint positions and speeds,
 //! or a [`MotionFault`] that the controller turns into a protective stop. Pure. The real controller's
 //! profiles are not published; modelled here: speed over the path is a trapezoid ([`profile`]), a path is a
-//! line in joint space or a line, circle or rounded corner in tool space ([`segment`], [`tool_path`]), and a
-//! blend is the end of one segment and the start of the next running at the same time ([`mover`]).
+//! line in joint space or a line, circle or rounded corner in tool space ([`segment`], [`tool_path`]), and
+//! a blend is the end of one segment and the start of the next running at the same time ([`mover`]), or the
+//! arm rounds the corner at a speed that it does not brake for it ([`rounding`]).
 
 pub mod belt;
 
@@ -17,6 +18,8 @@ pub mod mover;
 pub mod path_offset;
 
 pub mod profile;
+
+pub mod rounding;
 
 pub mod safety;
 

@@ -4,15 +4,16 @@
 //! frame. Out: joint positions, speeds and accelerations. The speed slider, pauses and protective stops
 //! scale the time of the segments, so the arm stays on its path while it slows down and when it goes on. So
 //! does the safety configuration's limit of the tool speed: the real controller plans within it and stops
-//! protectively only when it is exceeded, which a simulated arm that follows exactly never does.
-//! A blend: the new segment starts from the target of the one before while that still brakes; the joint
-//! positions are those of the new one plus what the old one lacks to its target. In a blend of moves of
-//! equal acceleration `a` that meet at an angle, acceleration is at most `a` times the difference of the two
-//! unit directions (that of a parabola).
+//! protectively only when it is exceeded, which a simulated arm that follows exactly never does. A blend
+//! the arm brakes for: the new segment starts from the target of the one before while that still brakes;
+//! the joint positions are those of the new one plus what the old one lacks to its target. In a blend of
+//! moves of equal acceleration `a` that meet at an angle, acceleration is at most `a` times the difference
+//! of the two unit directions (that of a parabola).
 
 use crate::motion::carrier::Carried;
 use crate::motion::dynamics::tool_jacobian;
 use crate::motion::path_offset::OffsetWish;
+use crate::motion::rounding::{BlendConfig, Blends};
 use crate::motion::segment::Segment;
 use crate::motion::{Arm, FRAME_SECONDS};
 use cell_values::units::Joints;
@@ -91,6 +92,9 @@ pub struct Mover {
     last_id: u64,
     /// Blend radius of the move that was started last, m.
     last_blend: f64,
+    /// The radius at which that blend begins, m.
+    blend_radius: f64,
+    blends: Blends,
     still_frames: u64,
     /// Tool speed set in the last frame of a tool-speed task; measuring it anew each frame would drift.
     tool_speed: Option<Vector6<f64>>,
@@ -124,6 +128,8 @@ impl Mover {
             ramp_seconds: SOFT_RAMP_SECONDS,
             last_id: 0,
             last_blend: 0.0,
+            blend_radius: 0.0,
+            blends: Blends::new(BlendConfig::default()),
             still_frames: 0,
             tool_speed: None,
             limiter: 1.0,
@@ -133,6 +139,18 @@ impl Mover {
             carried: None,
             offset: OffsetWish::default(),
         }
+    }
+
+    /// Sets how later moves blend.
+    pub fn set_blends(&mut self, config: BlendConfig) {
+        self.blends = Blends::new(config);
+    }
+
+    /// True in a corner that is passed without braking, and for two frames after it.
+    pub fn rounds_corner(&self) -> bool {
+        let Task::Segments(segments) = &self.task else { return false };
+        let mut corners = segments.iter().map(|active| (active.time, active.segment.corner_seconds()));
+        corners.any(|(time, seconds)| seconds > 0.0 && time < seconds + 2.0 * FRAME_SECONDS)
     }
 
     /// Joint positions.
@@ -296,6 +314,7 @@ impl Mover {
 
 mod carried;
 mod commands;
+mod corner;
 mod frame;
 mod tool_speed;
 

@@ -21,6 +21,8 @@ pub struct Shape {
     pub blend: f64,
     /// Time the predecessor still needs, s; 0 for a start from rest.
     pub lead: f64,
+    /// The arm comes to the blend at full speed: whatever takes over there goes on with it.
+    pub keeps: bool,
     /// Speed at the start, of a path that takes over from another in full motion; then there is no `lead`.
     pub entry: f64,
 }
@@ -45,14 +47,15 @@ pub struct Profile {
 impl Profile {
     /// The fastest profile of a shape.
     pub fn new(shape: &Shape) -> Profile {
-        let Shape { length, speed, acceleration: a, lead, entry, .. } = *shape;
+        let Shape { length, speed, acceleration: a, lead, entry, keeps, .. } = *shape;
         if length <= 0.0 {
             return Profile { phases: Vec::new(), length: 0.0, rate: 1.0, tail: 0.0 };
         }
         // The middle of the path belongs to no blend, so that the two of a path cannot overlap.
         let blend = shape.blend.clamp(0.0, length / 2.0);
         let until_tail = length - blend;
-        let mut out = if blend > 0.0 { speed.min((2.0 * a * blend).sqrt()) } else { 0.0 };
+        let braked = if keeps { speed } else { speed.min((2.0 * a * blend).sqrt()) };
+        let mut out = if blend > 0.0 { braked } else { 0.0 };
         let start = if entry > 0.0 { entry } else { start_speed(lead, speed, a, until_tail, out) };
         let ramp = if entry > 0.0 { 0.0 } else { start * lead / 2.0 };
         let middle = (until_tail - ramp).max(0.0);
@@ -155,7 +158,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn shape(length: f64, acceleration: f64, speed: f64) -> Shape {
-        Shape { length, speed, acceleration, blend: 0.0, lead: 0.0, entry: 0.0 }
+        Shape { length, speed, acceleration, blend: 0.0, lead: 0.0, keeps: false, entry: 0.0 }
     }
 
     #[test]
@@ -210,7 +213,7 @@ mod tests {
         #[test]
         fn limits_hold(length in 1e-4..3.0f64, speed in 0.01..3.0f64, acceleration in 0.1..20.0f64,
                        blend in 0.0..0.5f64, lead in 0.0..1.0f64) {
-            let shape = Shape { length, speed, acceleration, blend, lead, entry: 0.0 };
+            let shape = Shape { length, speed, acceleration, blend, lead, keeps: false, entry: 0.0 };
             let profile = Profile::new(&shape);
             let steps = 400;
             let dt = profile.duration() / f64::from(steps);

@@ -5,6 +5,7 @@
 //! posture.
 
 use crate::motion::profile::{Profile, Shape};
+use crate::motion::rounding::Rounding;
 use crate::motion::tool_path::ToolPath;
 use crate::motion::{Arm, FRAME_SECONDS, MotionFault};
 use cell_values::units::Joints;
@@ -24,6 +25,8 @@ pub struct MoveLimits {
     pub seconds: f64,
     /// Blend radius round the target, m.
     pub blend: f64,
+    /// It is not braked before the blend.
+    pub keeps: bool,
 }
 
 /// How a segment begins.
@@ -31,7 +34,7 @@ pub struct MoveLimits {
 pub enum Start {
     /// From rest, or within the time (s) the predecessor still needs.
     Lead(f64),
-    /// At this speed (m/s).
+    /// At this speed, of the leading joint (rad/s) or the tool (m/s).
     Motion(f64),
 }
 
@@ -46,6 +49,8 @@ enum Course {
 /// A piece of motion.
 #[derive(Clone, Debug)]
 pub struct Segment {
+    /// A rounded corner that comes before all the rest.
+    corner: Option<Rounding>,
     course: Course,
     profile: Profile,
     target: Joints,
@@ -65,8 +70,8 @@ pub struct Handover {
 }
 
 impl Segment {
-    /// A line in joint space. `lead` is the time the predecessor still needs.
-    pub fn joint(arm: &Arm, from: &Joints, to: &Joints, limits: &MoveLimits, lead: f64) -> Segment {
+    /// A line in joint space.
+    pub fn joint(arm: &Arm, from: &Joints, to: &Joints, limits: &MoveLimits, start: Start) -> Segment {
         let delta: [f64; 6] = std::array::from_fn(|i| to.0[i] - from.0[i]);
         let length = delta.iter().fold(0.0f64, |longest, value| longest.max(value.abs()));
         let blend =
@@ -75,17 +80,18 @@ impl Segment {
         let slowest = delta.iter().zip(arm.joint_speed).filter(|(way, _)| way.abs() > 0.0);
         let most = slowest.map(|(way, most)| most * length / way.abs()).fold(f64::INFINITY, f64::min);
         let speed = limits.speed.min(most);
-        let mut profile = profile(length, &MoveLimits { speed, ..*limits }, blend, lead);
+        let mut profile = profile(length, &MoveLimits { speed, ..*limits }, blend, start);
         // A duration in which they cannot do it is stretched: the controller slows down and says nothing.
         let too_fast = profile.top_speed() / most;
         if too_fast > 1.0 {
             let seconds = profile.duration() * too_fast;
             profile = profile.lasting(seconds);
         }
-        Segment { course: Course::Joint { from: *from, delta }, profile, target: *to, constant_speed: false }
+        let course = Course::Joint { from: *from, delta };
+        Segment { corner: None, course, profile, target: *to, constant_speed: false }
     }
 
-    /// A way of the tool from `from`, where `path` starts. `lead` is the time the predecessor still needs.
+    /// A way of the tool from `from`, where `path` starts.
     ///
     /// # Errors
     /// When the way leads out of reach or through a singularity.
@@ -94,9 +100,9 @@ impl Segment {
         from: &Joints,
         path: ToolPath,
         limits: &MoveLimits,
-        lead: f64,
+        start: Start,
     ) -> Result<Segment, MotionFault> {
-        Segment::along(arm, from, path, limits, Start::Lead(lead), false)
+        Segment::along(arm, from, path, limits, start, false)
     }
 
     /// The same for a process move, whose successor takes over where its blend begins; it may have
@@ -134,11 +140,11 @@ impl Segment {
             Start::Motion(entry) => {
                 // Where the tool mostly turns, the length is longer than the way.
                 let entry = entry * length / distance.max(1e-9);
-                let (speed, acceleration) = (limits.speed, limits.acceleration);
-                Profile::new(&Shape { length, speed, acceleration, blend, lead: 0.0, entry })
+                profile(length, limits, blend, Start::Motion(entry))
             }
         };
-        Ok(Segment { course: Course::Tool { path, last: *from }, profile, target, constant_speed })
+        let course = Course::Tool { path, last: *from };
+        Ok(Segment { corner: None, course, profile, target, constant_speed })
     }
 
     /// The way on from `speed` (rad/s) until all joints have stopped together, the fastest of them braking
@@ -147,10 +153,20 @@ impl Segment {
         let fastest = speed.iter().fold(0.0f64, |fastest, value| fastest.max(value.abs()));
         let seconds = fastest / acceleration;
         let target = Joints(std::array::from_fn(|i| from.0[i] + speed[i] * seconds / 2.0));
-        let unit = Shape { length: 1.0, speed: 1.0, acceleration: 1.0, blend: 0.0, lead: 0.0, entry: 0.0 };
-        let profile = Profile::new(&unit).lasting(seconds.max(1e-9));
+        let unit = MoveLimits { acceleration: 1.0, speed: 1.0, seconds: 0.0, blend: 0.0, keeps: false };
+        let profile = profile(1.0, &unit, 0.0, Start::Lead(0.0)).lasting(seconds.max(1e-9));
         let course = Course::RunOut { from: *from, speed: *speed, seconds };
-        Segment { course, profile, target, constant_speed: false }
+        Segment { corner: None, course, profile, target, constant_speed: false }
+    }
+
+    /// The same after a rounded corner that ends where it begins.
+    pub fn after(self, corner: Rounding) -> Segment {
+        Segment { corner: Some(corner), ..self }
+    }
+
+    /// How long its rounded corner takes, s.
+    pub fn corner_seconds(&self) -> f64 {
+        self.corner.as_ref().map_or(0.0, Rounding::seconds)
     }
 
     /// Where it ends.
@@ -160,12 +176,12 @@ impl Segment {
 
     /// How long it takes, s.
     pub fn duration(&self) -> f64 {
-        self.profile.duration()
+        self.corner_seconds() + self.profile.duration()
     }
 
     /// When the successor may start, s.
     pub fn release(&self) -> f64 {
-        self.profile.release()
+        self.corner_seconds() + self.profile.release()
     }
 
     /// Joint positions at `time` (s); later than the end is the end.
@@ -173,6 +189,10 @@ impl Segment {
     /// # Errors
     /// When the tool cannot be kept on its line.
     pub fn position(&mut self, arm: &Arm, time: f64) -> Result<Joints, MotionFault> {
+        if let Some(corner) = self.corner.as_ref().filter(|corner| time < corner.seconds()) {
+            return Ok(corner.at(time));
+        }
+        let time = time - self.corner_seconds();
         if time >= self.profile.duration() {
             return Ok(self.target);
         }
@@ -208,9 +228,13 @@ impl Segment {
     }
 }
 
-fn profile(length: f64, limits: &MoveLimits, blend: f64, lead: f64) -> Profile {
-    let shape =
-        Shape { length, speed: limits.speed, acceleration: limits.acceleration, blend, lead, entry: 0.0 };
+fn profile(length: f64, limits: &MoveLimits, blend: f64, start: Start) -> Profile {
+    let MoveLimits { speed, acceleration, keeps, .. } = *limits;
+    let (lead, entry) = match start {
+        Start::Lead(lead) => (lead, 0.0),
+        Start::Motion(entry) => (0.0, entry),
+    };
+    let shape = Shape { length, speed, acceleration, blend, lead, keeps, entry };
     let natural = Profile::new(&shape);
     if limits.seconds > 0.0 { natural.lasting(limits.seconds) } else { natural }
 }
@@ -219,12 +243,13 @@ fn profile(length: f64, limits: &MoveLimits, blend: f64, lead: f64) -> Profile {
 /// A duration that is too short for them is stretched, though never beyond what the move takes without one:
 /// what is too fast then leads past a singularity.
 fn within_joints(length: f64, limits: &MoveLimits, blend: f64, lead: f64, quickest: f64) -> Profile {
-    let wanted = profile(length, limits, blend, lead);
+    let start = Start::Lead(lead);
+    let wanted = profile(length, limits, blend, start);
     let too_fast = wanted.top_speed() * quickest / length.max(1e-9);
     if limits.seconds <= 0.0 || too_fast <= 1.0 {
         return wanted;
     }
-    let natural = profile(length, &MoveLimits { seconds: 0.0, ..*limits }, blend, lead).duration();
+    let natural = profile(length, &MoveLimits { seconds: 0.0, ..*limits }, blend, start).duration();
     let (requested, possible) = (wanted.duration(), wanted.duration() * too_fast);
     wanted.lasting(possible.min(natural.max(requested)))
 }
@@ -251,7 +276,7 @@ fn probe(arm: &Arm, from: &Joints, path: &ToolPath) -> Result<(Joints, f64), Mot
 
 /// Fraction of a joint move, from its end, during which the TCP is within `radius` (m) of its target; at
 /// most one half.
-fn joint_blend(arm: &Arm, from: &Joints, delta: &[f64; 6], to: &Joints, radius: f64) -> f64 {
+pub(super) fn joint_blend(arm: &Arm, from: &Joints, delta: &[f64; 6], to: &Joints, radius: f64) -> f64 {
     let target = arm.tcp(to).translation.vector;
     let distance = |fraction: f64| {
         let q = Joints(std::array::from_fn(|i| from.0[i] + delta[i] * (1.0 - fraction)));

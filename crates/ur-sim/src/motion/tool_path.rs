@@ -12,7 +12,7 @@ const METRES_PER_RADIAN: f64 = 0.25;
 
 /// Turns of a corner that are no corner (rad), and that are too sharp for a round one.
 const STRAIGHT: f64 = 1e-4;
-const REVERSAL: f64 = PI - 0.1;
+pub(crate) const REVERSAL: f64 = PI - 0.1;
 
 #[derive(Clone, Copy, Debug)]
 enum Piece {

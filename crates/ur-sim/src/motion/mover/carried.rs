@@ -107,7 +107,8 @@ mod tests {
     use nalgebra::{Translation3, Vector3};
     use ur_arm::kinematics::DhParameters;
 
-    const LIMITS: MoveLimits = MoveLimits { acceleration: 1.2, speed: 0.25, seconds: 0.0, blend: 0.0 };
+    const LIMITS: MoveLimits =
+        MoveLimits { acceleration: 1.2, speed: 0.25, seconds: 0.0, blend: 0.0, keeps: false };
 
     #[test]
     fn a_line_is_driven_on_the_belt_and_the_arm_brakes_behind_it() {

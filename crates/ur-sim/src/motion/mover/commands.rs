@@ -4,7 +4,9 @@
 //! Apart from the frames because a command comes once and decides where its move starts and what it blends
 //! with; a frame only follows the task that is there.
 
+use crate::motion::mover::corner::Next;
 use crate::motion::mover::{Active, MoveId, Mover, Task};
+use crate::motion::rounding::EntrySpeed;
 use crate::motion::segment::{MoveLimits, Segment, Start};
 use crate::motion::tool_path::ToolPath;
 use crate::motion::{FRAME_SECONDS, MotionFault};
@@ -21,9 +23,13 @@ impl Mover {
         if let Some(joint) = self.arm.outside(to) {
             return Err(MotionFault::JointRange { joint, position: to.0[joint] });
         }
+        let (limits, nominal) = (&self.blending(limits), limits.blend);
+        if let Some(segment) = self.rounded(&Next::Joints(to), limits)? {
+            return Ok(self.take_over(segment, limits, nominal));
+        }
         let (from, lead) = self.departure(limits.acceleration);
-        let segment = Segment::joint(&self.arm, &from, to, limits, lead);
-        Ok(self.add(segment, limits.blend))
+        let segment = Segment::joint(&self.arm, &from, to, limits, Start::Lead(lead));
+        Ok(self.add(segment, limits, nominal))
     }
 
     /// Starts a straight tool move to `base_from_tcp`.
@@ -35,10 +41,14 @@ impl Mover {
         base_from_tcp: &Isometry3<f64>,
         limits: &MoveLimits,
     ) -> Result<MoveId, MotionFault> {
+        let (limits, nominal) = (&self.blending(limits), limits.blend);
+        if let Some(segment) = self.rounded(&Next::Tool(base_from_tcp), limits)? {
+            return Ok(self.take_over(segment, limits, nominal));
+        }
         let (from, lead) = self.departure(limits.acceleration.max(1.0));
         let path = ToolPath::line(&self.arm.tcp(&from), base_from_tcp);
-        let segment = Segment::tool(&self.arm, &from, path, limits, lead)?;
-        Ok(self.add(segment, limits.blend))
+        let segment = Segment::tool(&self.arm, &from, path, limits, Start::Lead(lead))?;
+        Ok(self.add(segment, limits, nominal))
     }
 
     /// Starts a move on the circle through `via` to `to`; with `fixed` the tool turns with the circle.
@@ -54,8 +64,8 @@ impl Mover {
     ) -> Result<MoveId, MotionFault> {
         let (from, lead) = self.departure(limits.acceleration.max(1.0));
         let path = ToolPath::circle(&self.arm.tcp(&from), via, to, fixed);
-        let segment = Segment::tool(&self.arm, &from, path, limits, lead)?;
-        Ok(self.add(segment, limits.blend))
+        let segment = Segment::tool(&self.arm, &from, path, limits, Start::Lead(lead))?;
+        Ok(self.add(segment, limits, limits.blend))
     }
 
     /// Starts a process move: where the last one's blend begins, the tool goes on at its speed round the
@@ -70,13 +80,12 @@ impl Mover {
     ) -> Result<MoveId, MotionFault> {
         if let Some((path, speed)) = self.takeover(base_from_tcp) {
             let segment = Segment::process(&self.arm, &self.q, path, limits, Start::Motion(speed))?;
-            self.task = Task::Segments(VecDeque::new());
-            return Ok(self.add(segment, limits.blend));
+            return Ok(self.take_over(segment, limits, limits.blend));
         }
         let (from, lead) = self.departure(limits.acceleration.max(1.0));
         let path = ToolPath::line(&self.arm.tcp(&from), base_from_tcp);
         let segment = Segment::process(&self.arm, &from, path, limits, Start::Lead(lead))?;
-        Ok(self.add(segment, limits.blend))
+        Ok(self.add(segment, limits, limits.blend))
     }
 
     /// The way on to `to` from a process move whose blend has begun, and the speed it goes on with.
@@ -144,9 +153,22 @@ impl Mover {
         departure
     }
 
-    fn add(&mut self, segment: Segment, blend: f64) -> MoveId {
+    /// A move with the radius at which its blend begins.
+    fn blending(&mut self, limits: &MoveLimits) -> MoveLimits {
+        let keeps = self.blends.entry_speed() != EntrySpeed::Braked;
+        MoveLimits { blend: self.blends.radius(limits.blend), keeps, ..*limits }
+    }
+
+    /// In place of the move under way.
+    fn take_over(&mut self, segment: Segment, limits: &MoveLimits, nominal: f64) -> MoveId {
+        self.task = Task::Segments(VecDeque::new());
+        self.add(segment, limits, nominal)
+    }
+
+    /// `nominal` is the blend's radius as it was commanded, m.
+    fn add(&mut self, segment: Segment, limits: &MoveLimits, nominal: f64) -> MoveId {
         self.last_id += 1;
-        self.last_blend = blend;
+        (self.last_blend, self.blend_radius) = (nominal, limits.blend);
         let id = MoveId(self.last_id);
         let active = Active { segment, time: 0.0, id };
         match &mut self.task {

@@ -7,6 +7,8 @@ use nalgebra::Translation3;
 use proptest::prelude::*;
 use ur_arm::kinematics::DhParameters;
 
+mod blends;
+
 const HOME: Joints = Joints([0.0, -1.57, 1.57, -1.57, -1.57, 0.0]);
 
 fn mover() -> Mover {
@@ -14,7 +16,7 @@ fn mover() -> Mover {
 }
 
 fn limits(acceleration: f64, speed: f64, blend: f64) -> MoveLimits {
-    MoveLimits { acceleration, speed, seconds: 0.0, blend }
+    MoveLimits { acceleration, speed, seconds: 0.0, blend, keeps: false }
 }
 
 /// Steps until the arm is at rest, calling `each` after every frame; the number of frames.
