@@ -106,12 +106,13 @@ pub fn run(args: &RunArgs, stop: Arc<AtomicBool>) -> u8 {
     // With the lock held: one who is turned away by it does not take the mark from who is not.
     config.arm_at_start &= !is_to_start_disarmed(&args.state);
     let begin = Begin { config, config_file: args.config.clone(), shared, calibration, state, seed };
-    let (anew, state, simulated) = (Anew::default(), begin.state.clone(), begin.config.simulation.is_some());
+    let (restart, state, simulated) =
+        (Anew::default(), begin.state.clone(), begin.config.simulation.is_some());
     // Once a person has ended celld it must not start again.
-    let restart = anew.clone();
-    interrupt::at_end(move || restart.never());
-    let code = with_runtime(stop, |stop| daemon(begin, anew.clone(), stop));
-    let next = anew.next(code, || take_shared(&state));
+    let after_signal = restart.clone();
+    interrupt::at_end(move || after_signal.never());
+    let code = with_runtime(stop, |stop| daemon(begin, restart.clone(), stop));
+    let next = restart.next(code, || take_shared(&state));
     drop(lock);
     next.carry_out(simulated)
 }

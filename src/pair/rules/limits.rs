@@ -4,8 +4,8 @@
 //! In: the arm of every frame, the limits of the cell's own configuration, the round as it was ordered.
 //! Out: breaches. The limits that the machine was given do not count. A stop may be harder than a motion,
 //! and a corner that is cut turns: a blend of two moves of acceleration `a` takes up to `2 a`. A corner
-//! that is passed without braking has the acceleration of its speed and radius, which is not judged here;
-//! the rule for what is held still applies.
+//! that is passed without braking has the acceleration of its speed and radius, which is not judged here.
+//! The rule that the gripper keeps its object is judged there too.
 
 use crate::pair::rules::found::Found;
 use crate::pair::rules::rule::Rule;

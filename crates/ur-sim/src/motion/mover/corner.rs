@@ -39,7 +39,7 @@ struct JoinPoint {
     q: Joints,
     /// Joint speeds for a speed of 1 in the move's unit.
     direction: [f64; 6],
-    /// What is left of it, in its unit.
+    /// Length of the move from here to its target: rad of the leading joint, or m of the tool.
     left: f64,
     /// Metres of the tool for each unit there.
     metres: f64,
@@ -55,11 +55,7 @@ impl JoinPoint {
 
 impl Mover {
     /// The next move from within the blend of the one under way; `None` where it begins at its corner.
-    pub(super) fn rounded(
-        &mut self,
-        next: &Next,
-        limits: &MoveLimits,
-    ) -> Result<Option<Segment>, MotionFault> {
+    pub(super) fn rounded(&self, next: &Next, limits: &MoveLimits) -> Result<Option<Segment>, MotionFault> {
         let reading = self.blends.entry_speed();
         if reading == EntrySpeed::Braked || limits.seconds > 0.0 {
             return Ok(None);

@@ -8,7 +8,7 @@ const FIRST: f64 = 0.25;
 const SECOND: f64 = 0.4;
 const ACCELERATION: f64 = 1.2;
 
-/// What is seen of a corner.
+/// Measurements of one corner.
 struct Seen {
     /// The tool's speed before the corner and at its end, m/s.
     speeds: [f64; 2],
