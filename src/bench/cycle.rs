@@ -20,6 +20,7 @@ use cell_machine::supervisor::model::ForeignRule;
 use cell_machine::supervisor::order::JobOrder;
 use cell_machine::supervisor::status::{Doing, WorkStep};
 use cell_machine::times::{JobTimes, TimeSplit, Use};
+use cell_motion::path::BlendSpeed;
 use cell_values::time::Duration;
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
 use rearrange::geometry::pose::Pose2;
@@ -30,6 +31,7 @@ use rearrange::tabletop::scenes::{SCENES, scene};
 use std::f64::consts::TAU;
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::Path;
+use ur_sim::motion::rounding::{BlendConfig, EntrySpeed};
 
 /// Simulated seconds for a job.
 const JOB_WITHIN_S: f64 = 900.0;
@@ -43,14 +45,23 @@ pub struct Pace {
     pub joint: (f64, f64),
     /// Of the tool on straight parts, m/s and m/s2.
     pub tool: (f64, f64),
+    /// At which speed the simulated arm passes blends.
+    pub entry_speed: EntrySpeed,
+    /// What celld knows of that.
+    pub blend_speed: BlendSpeed,
 }
 
 /// Those of config/cell.yaml.
-pub const USUAL: Pace =
-    Pace { name: "as config/cell.yaml", joint: (60.0 * TAU / 360.0, 120.0 * TAU / 360.0), tool: (0.25, 1.0) };
+pub const USUAL: Pace = Pace {
+    name: "as config/cell.yaml",
+    joint: (60.0 * TAU / 360.0, 120.0 * TAU / 360.0),
+    tool: (0.25, 1.0),
+    entry_speed: EntrySpeed::Braked,
+    blend_speed: BlendSpeed::Unknown,
+};
 
 /// What a UR5e does in production.
-pub const FAST: Pace = Pace { name: "fast", joint: (180.0 * TAU / 360.0, 8.0), tool: (1.0, 3.0) };
+pub const FAST: Pace = Pace { name: "fast", joint: (180.0 * TAU / 360.0, 8.0), tool: (1.0, 3.0), ..USUAL };
 
 impl Pace {
     fn limits(&self) -> MotionLimits {
@@ -228,7 +239,9 @@ pub fn cell_of(pace: &Pace, name: &str, pairing: Choice) -> Result<(Pair, Instan
     config.limits = pace.limits();
     // Corners have no depth.
     config.foreign = ForeignRule::Off;
-    let stage = stage_of(&config, &sim_file(&instance, &config, &choice)?, seed)?;
+    let mut stage = stage_of(&config, &sim_file(&instance, &config, &choice)?, seed)?;
+    stage.controller.blends = BlendConfig { entry_speed: pace.entry_speed, seed };
+    stage.model.arm.blend_speed = pace.blend_speed;
     let mut pair =
         Pair::new(stage, Choice { eye: SightKind::Corners, ..pairing }).map_err(|error| error.to_string())?;
     if !bring_up(&mut pair) {

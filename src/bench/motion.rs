@@ -6,6 +6,7 @@
 //! distances by another formula, sampled densely), and a planner of another method (a probabilistic
 //! roadmap) with 100 times the steps.
 
+use crate::bench::blends::BlendFigures;
 use crate::bench::motion_model::{roadmap, rod};
 use crate::pair::thin_arm::{THINNER_M, ThinModel};
 use cell_motion::bodies::cell::{CellBodies, NamedShape};
@@ -54,6 +55,8 @@ pub struct MotionFigures {
     pub cycle_vs_naive: Option<f64>,
     /// Against a lower bound.
     pub cycle_vs_bound: Option<f64>,
+    /// Seconds by the speed at which the arm passes blends, in fewer jobs ([`crate::bench::blends`]).
+    pub blends: Vec<BlendFigures>,
     /// Share of it during which the arm rests, and neither for a picture nor for the vacuum.
     pub idle_fraction: Option<f64>,
     /// Stops for pictures of each, looks at the whole table not counted.

@@ -4,6 +4,7 @@
 //! In: how many jobs, poses, moves and starts. Out: tables, or one JSON object. Exit code 0; 1 when a job
 //! was not done, an accepted move meets something in the other model, or a pose is not found again.
 
+use crate::bench::blends::{self, measure_blends};
 use crate::bench::cycle::{self, FAST, HEAVY_SCENE, Pace, SceneFigures, USUAL, means, measure_pace};
 use crate::bench::motion::Subject;
 use crate::bench::motion::{MotionCases, MotionFigures, WAY_STEPS, measure, subject, table};
@@ -55,6 +56,9 @@ objects:
   - {id: disc, footprint: {disc: {radius: 0.025}}, start: [0.3, 0.3, 0.0]}
 ";
 
+/// Jobs of each scene in the comparison of blend speeds, at most: it runs five variants.
+const BLEND_JOBS: u64 = 2;
+
 /// Runs `celld bench motion`. Returns the exit code.
 pub fn run(args: &BenchMotionArgs) -> u8 {
     let paces = [USUAL, FAST].map(|pace| {
@@ -62,7 +66,7 @@ pub fn run(args: &BenchMotionArgs) -> u8 {
         complain(&format!("measured: {} jobs of each scene, limits {}", args.jobs, pace.name));
         (pace, figures)
     });
-    let failed = paces.iter().any(|(_, scenes)| scenes.iter().any(|scene| !scene.faults.is_empty()));
+    let mut failed = paces.iter().any(|(_, scenes)| scenes.iter().any(|scene| !scene.faults.is_empty()));
     let mut figures = MotionFigures::default();
     if !args.cycle {
         let subject = match demo_subject(args.seed) {
@@ -78,12 +82,18 @@ pub fn run(args: &BenchMotionArgs) -> u8 {
     }
     if args.jobs > 0 {
         cycles(&mut figures, &paces);
+        figures.blends =
+            measure_blends(args.jobs.min(BLEND_JOBS), &|what| complain(&format!("measured: {what}")));
+        failed |= figures.blends.iter().any(|row| !row.faults.is_empty());
     }
     match args.format.as_str() {
         "json" => print(&format!("{}\n", serde_json::json!(figures))),
         _ => {
             let paces = paces.iter().filter(|_| args.jobs > 0);
             paces.for_each(|(pace, scenes)| print(&cycle::table(pace, scenes)));
+            if args.jobs > 0 {
+                print(&blends::table(&figures.blends));
+            }
             if !args.cycle {
                 print(&table(&figures));
             }

@@ -18,7 +18,7 @@ use cell_machine::views::SightModel;
 use cell_motion::bodies::cell::{CellBodies, GripperBody};
 use cell_motion::bodies::{Bodies, Surroundings};
 use cell_motion::holding::LEAST_ACCELERATION;
-use cell_motion::path::{ArmLimits, ArmModel};
+use cell_motion::path::{ArmLimits, ArmModel, BlendSpeed};
 use cell_motion::pick_n_place::{CycleParameters, plan};
 use cell_parts::gripper::CupChannel;
 use cell_values::time::Duration;
@@ -251,6 +251,7 @@ pub fn arm_model(config: &CellConfig, dh: DhParameters, base_from_table: Isometr
             tool_speed: limits.tool_speed,
             tool_acceleration: limits.tool_acceleration,
         },
+        blend_speed: BlendSpeed::Unknown,
         bodies: bodies(config, &dh, base_from_table),
     }
 }

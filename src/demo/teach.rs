@@ -184,7 +184,7 @@ fn looking(eye: [f64; 3], target: [f64; 3], roll: f64) -> Isometry3<f64> {
 mod tests {
     use super::*;
     use cell_motion::bodies::Bodies;
-    use cell_motion::path::ArmLimits;
+    use cell_motion::path::{ArmLimits, BlendSpeed};
     use std::f64::consts::TAU;
     use ur_arm::kinematics::{DhParameters, forward};
 
@@ -201,6 +201,7 @@ mod tests {
                 tool_speed: 0.5,
                 tool_acceleration: 2.0,
             },
+            blend_speed: BlendSpeed::Unknown,
             bodies: Bodies::bare(&DhParameters::UR5E),
         }
     }

@@ -22,6 +22,7 @@ use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 use rearrange::document::chain::chain;
 use rearrange::geometry::pose::Pose2;
 use ur_sim::faults::read::read_posted;
+use ur_sim::motion::rounding::{BlendConfig, EntrySpeed};
 
 #[test]
 fn a_seed_gives_the_same_run_twice_and_another_seed_another() {
@@ -37,6 +38,24 @@ fn a_seed_gives_the_same_run_twice_and_another_seed_another() {
     prints.sort_unstable();
     prints.dedup();
     assert_eq!(prints.len(), 6);
+}
+
+/// Whether the arm brakes for a corner, keeps its speed or takes up that of the next move, early or late.
+#[test]
+fn no_rule_is_broken_at_whatever_speed_blends_are_passed() {
+    for seed in [1, 100] {
+        let run = |entry_speed: EntrySpeed| {
+            let mut stage = stage(seed, SightKind::Corners).unwrap();
+            stage.controller.blends = BlendConfig { entry_speed, seed };
+            let (summary, _) = run_jobs(&stage, Choice::of(seed), 2, &[], &mut |_| {}).unwrap();
+            assert!(summary.is_clean() && summary.jobs == 2, "{entry_speed:?}, seed {seed}: {summary:?}");
+            summary.fingerprint
+        };
+        let [braked, kept, scaled, raised] =
+            [EntrySpeed::Braked, EntrySpeed::Kept, EntrySpeed::Scaled, EntrySpeed::Raised].map(run);
+        assert!(braked != kept && kept != raised && raised != braked, "seed {seed}");
+        assert_eq!(kept, scaled, "seed {seed}: no speed that is kept has to be lowered");
+    }
 }
 
 #[test]

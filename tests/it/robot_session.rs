@@ -9,7 +9,7 @@ use cell_machine::device::program::Nonce;
 use cell_machine::device::robot::Robot;
 use cell_machine::device::robot_types::{Link, ProgramEnd, RobotCommand, RobotEvent, RobotParameters};
 use cell_motion::bodies::{Bodies, Room};
-use cell_motion::path::{ArmLimits, ArmModel, CheckedPath, Leg, Segment};
+use cell_motion::path::{ArmLimits, ArmModel, BlendSpeed, CheckedPath, Leg, Segment};
 use cell_values::time::Timestamp;
 use cell_values::units::Joints;
 use nalgebra::Isometry3;
@@ -198,6 +198,7 @@ impl Cell {
             flange_from_tool: Isometry3::translation(0.0, 0.0, 0.1),
             home: from,
             limits,
+            blend_speed: BlendSpeed::Unknown,
             bodies: Bodies::bare(&self.dh),
         };
         let at = |turn: f64, tilt: f64| {

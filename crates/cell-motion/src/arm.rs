@@ -25,6 +25,17 @@ pub struct ArmLimits {
     pub tool_acceleration: f64,
 }
 
+/// The speed at which a controller passes blends, as far as it is known.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+pub enum BlendSpeed {
+    /// Unknown: corners must be safe at any speed.
+    #[default]
+    Unknown,
+    /// The controller brakes before the corner. Not confirmed for any real arm; for comparison in
+    /// simulation, without a limit for what is held.
+    Braked,
+}
+
 /// The arm as far as motion needs to know it.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct ArmModel {
@@ -39,6 +50,8 @@ pub struct ArmModel {
     pub home: Joints,
     /// Limits.
     pub limits: ArmLimits,
+    /// What is known of its corners.
+    pub blend_speed: BlendSpeed,
     /// Arm, tool, table and equipment as bodies.
     pub bodies: Bodies,
 }

@@ -8,10 +8,12 @@
 //! included, and slows segments that would load a joint, or the vacuum, more than they may.
 
 mod check;
+mod corners;
 mod fault;
 mod leg;
+mod traced;
 
-pub use crate::arm::{ArmLimits, ArmModel};
+pub use crate::arm::{ArmLimits, ArmModel, BlendSpeed};
 use crate::bodies::Room;
 pub use crate::path::fault::{PathFault, out_of_reach};
 pub use crate::path::leg::{Leg, Segment};

@@ -423,12 +423,14 @@ mod tests {
     use super::*;
     use crate::bodies::cell::NamedShape;
     use crate::bodies::shape::Shape;
+    use crate::path::BlendSpeed;
     use crate::testing::{cycle, home, model, table, task};
     use rand::{RngExt, SeedableRng};
 
     #[test]
     fn every_place_of_the_demo_table_is_served() {
-        let model = model(0.5);
+        // The corners as wide as they fit, however fast they are.
+        let model = ArmModel { blend_speed: BlendSpeed::Braked, ..model(0.5) };
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(11);
         let mut at = home(&model, 0.5);
         for _ in 0..200 {

@@ -1,24 +1,25 @@
 //! Setting out for an object while what is on the table is still worked out.
 //!
-//! In: the paths of a pick-n-place as it is expected, from where the last picture was taken. Out: the way to
-//! over the object, which ends at a waiting place; later, with the object as it was seen, the paths that go
-//! on from there. Pure.
+//! In: the paths of a pick-n-place as it is expected, from where the last picture was taken. Out: the way
+//! to over the object, which ends at a waiting place; later, with the object as it was seen, the paths that
+//! go on from there. Pure.
 //!
-//! The arm follows the way to its corner over the object and either goes down from there, the corner cut as
-//! on any approach, or up to the waiting place straight over it, where it rests. Which of the two is decided
-//! as it comes to the corner, by the program on the robot: so what goes on is checked from the corner and
-//! from the waiting place. Until then nothing is known, and what was put down last may still hang on the
-//! cups: that is kept over everything too.
+//! The arm follows the way to its corner over the object. Where the corner may be cut, it either goes down
+//! from there, as on any approach, or up to the waiting place straight over it, where it rests. Which of
+//! the two is decided as it comes to the corner, by the program on the robot: so what goes on is checked
+//! from the corner and from the waiting place. Where the corner is a stop, it is the waiting place: an arm
+//! that has stopped there begins no further motion. Until then nothing is known, and what was put down last
+//! may still hang on the cups: that is kept over everything too.
 
 use crate::bodies::{Load, Room, Tabletop};
 use crate::path::{ArmModel, CheckedPath, Leg, Segment};
-use crate::pick_n_place::pieces::{WAY_SHARE, linear};
+use crate::pick_n_place::pieces::{WAY_SHARE, linear, metres};
 use crate::pick_n_place::{
     CycleParameters, PickNPlace, PickNPlacePaths, Rooms, from_over, from_pick, yaw_at,
 };
 use nalgebra::Translation3;
 
-/// The waiting place is so much farther from the corner than its blend needs, m.
+/// The waiting place is so much farther from a corner that is cut than it has to be, m.
 const FARTHER_M: f64 = 1e-3;
 
 /// The way to over the object of `paths` and to a waiting place there; `None` where the approach has no
@@ -32,22 +33,27 @@ pub fn set_out(
     table: &Tabletop,
     hangs: Option<(&Load, f64)>,
 ) -> Option<CheckedPath> {
-    let [over @ Segment::Joint { target: corner, blend, .. }, Segment::Linear { .. }] =
+    let [over @ Segment::Joint { target: corner, blend, .. }, Segment::Linear { target: low, .. }] =
         paths.approach.segments()
     else {
         return None;
     };
-    if *blend <= 0.0 {
-        return None;
+    let mut legs = vec![Leg::over(*over, cycle.layer())];
+    if *blend > 0.0 {
+        // As long as the way down: a corner that is safe for the one is safe for the other.
+        let up = (blend / WAY_SHARE).max(metres(model, corner, low)) + FARTHER_M;
+        let place = Translation3::new(0.0, 0.0, up) * model.tool_at(corner);
+        let waits = model.joints_in_work_posture(&place, corner)?;
+        legs.push(Leg::over(linear(waits, cycle, 0.0), cycle.layer()));
     }
-    let mut place = model.tool_at(corner);
-    place = Translation3::new(0.0, 0.0, blend / WAY_SHARE + FARTHER_M) * place;
-    let waits = model.joints_in_work_posture(&place, corner)?;
     let path = |table: &Tabletop, floor: f64, load: Option<(&Load, f64)>| {
         let room = Room::new(&model.bodies, table, None).holding(&model.bodies, load.map(|(load, _)| load));
         let hold = load.map_or(f64::INFINITY, |(_, hold)| hold);
-        let legs = [Leg::over(*over, floor), Leg::over(linear(waits, cycle, 0.0), floor)];
-        CheckedPath::new(model, &paths.approach.start(), &legs.map(|leg| leg.holding(hold)), &room).ok()
+        let legs: Vec<Leg> = legs.iter().map(|leg| Leg { floor, ..*leg }.holding(hold)).collect();
+        let checked = |legs: &[Leg]| CheckedPath::new(model, &paths.approach.start(), legs, &room).ok();
+        let path = checked(&legs)?;
+        let stops = path.segments().first().is_some_and(|over| over.blend() <= 0.0);
+        if stops { checked(&legs[..1]) } else { Some(path) }
     };
     let empty = path(table, cycle.layer(), None)?;
     let Some((load, hold)) = hangs else { return Some(empty) };
@@ -104,6 +110,7 @@ fn slower(one: &Segment, other: &Segment) -> Option<Segment> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::path::BlendSpeed;
     use crate::pick_n_place::plan;
     use crate::testing::{cycle, home, model, table, task};
     use nalgebra::Vector3;
@@ -122,15 +129,22 @@ mod tests {
     /// on, and the object to where it shall be.
     #[test]
     fn the_arm_goes_on_to_where_the_object_was_seen() {
-        let model = model(0.5);
-        let (paths, out) = way(&model, None);
+        // Round a corner, and with a stop there: fast as the way is, only a controller that brakes may cut
+        // it.
+        for (blend_speed, cuts) in [(BlendSpeed::Braked, true), (BlendSpeed::Unknown, false)] {
+            goes_on(&ArmModel { blend_speed, ..model(0.5) }, cuts);
+        }
+    }
+
+    fn goes_on(model: &ArmModel, cuts: bool) {
+        let (paths, out) = way(model, None);
         let out = out.expect("free");
-        let [over, up] = out.segments() else { panic!("{:?}", out.segments()) };
-        assert_eq!(*over, paths.approach.segments()[0]);
-        assert!(over.blend() > 0.01 && up.blend() == 0.0);
+        let over = out.segments()[0];
+        assert_eq!(over, paths.approach.segments()[0]);
+        assert_eq!((over.blend() > 0.01, out.segments().len()), if cuts { (true, 2) } else { (false, 1) });
         for seen in [Pose2::new(0.4, 0.15, 0.0), Pose2::new(0.4006, 0.1496, 0.006)] {
             let seen = task(seen, Pose2::new(0.1, 0.3, 1.0), [0.0, 0.0]);
-            let on = go_on(&model, &out, &seen, &cycle(), &table()).expect("near");
+            let on = go_on(model, &out, &seen, &cycle(), &table()).expect("near");
             assert_eq!(on.approach.start(), out.end());
             let tip = model.tool_at(&on.approach.end()).translation.vector;
             assert!((tip - Vector3::new(seen.from.x, seen.from.y, 0.019)).norm() < 1e-6, "{tip}");
@@ -138,7 +152,7 @@ mod tests {
             assert!((place - Vector3::new(0.1, 0.3, 0.019)).norm() < 1e-6, "{place}");
         }
         let aside = task(Pose2::new(0.4, 0.152, 0.0), Pose2::new(0.1, 0.3, 1.0), [0.0, 0.0]);
-        assert_eq!(go_on(&model, &out, &aside, &cycle(), &table()), None, "not straight down");
+        assert_eq!(go_on(model, &out, &aside, &cycle(), &table()), None, "not straight down");
     }
 
     /// What may hang on the cups keeps over everything, as near as where corners are cut, or the arm waits.

@@ -121,7 +121,7 @@ fn slow_enough(model: &ArmModel, from: &Joints, to: &Joints) -> f64 {
 mod tests {
     use super::*;
     use crate::bodies::Bodies;
-    use crate::path::ArmLimits;
+    use crate::path::{ArmLimits, BlendSpeed};
     use nalgebra::Isometry3;
     use std::f64::consts::TAU;
     use ur_arm::kinematics::DhParameters;
@@ -140,6 +140,7 @@ mod tests {
             flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
             home: Joints([0.0, -1.5, 1.5, -1.5, -1.5, 0.0]),
             limits,
+            blend_speed: BlendSpeed::Unknown,
             bodies: Bodies::bare(&DhParameters::UR5E),
         }
     }

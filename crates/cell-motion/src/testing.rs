@@ -4,7 +4,7 @@
 
 use crate::bodies::cell::{CellBodies, GripperBody};
 use crate::bodies::{Bodies, Surroundings, Tabletop};
-use crate::path::{ArmLimits, ArmModel};
+use crate::path::{ArmLimits, ArmModel, BlendSpeed};
 use crate::pick_n_place::{CycleParameters, PickNPlace, tool_down};
 use cell_values::units::Joints;
 use nalgebra::Isometry3;
@@ -72,6 +72,7 @@ pub fn model(width: f64) -> ArmModel {
             tool_speed: 0.5,
             tool_acceleration: 2.0,
         },
+        blend_speed: BlendSpeed::Unknown,
         bodies: bodies(Isometry3::translation(-width / 2.0, 0.18, 0.0), [width, width]),
     }
 }

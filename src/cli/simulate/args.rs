@@ -47,8 +47,8 @@ pub struct SimulateArgs {
     /// How the cell sees: rendered pictures with the real detector, or marker corners with its noise
     #[arg(long, value_enum, default_value_t = SightArg::Corners)]
     pub(super) eye: SightArg,
-    /// At which speed the simulated arm passes blends; see `blend:` in config/sim.yaml. celld breaks rules
-    /// in all but braked. With those only the rules are checked, not the pages in docs/
+    /// At which speed the simulated arm passes blends; see `blend:` in config/sim.yaml. In all but
+    /// braked only the rules are checked, not the pages in docs/
     #[arg(long, value_name = "SPEED", value_parser = entry_speeds(), default_value = "braked")]
     pub(super) blend: EntrySpeed,
     /// Write what happened, line by line, to this file; the same seed writes the same bytes
@@ -102,4 +102,36 @@ pub(super) fn keep_trace(args: &SimulateArgs, pair: &Pair) -> Result<(), String>
     let Some(path) = &args.trace else { return Ok(()) };
     std::fs::write(path, pair.trace.lines().join("\n") + "\n")
         .map_err(|error| format!("{}: {error}", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: SimulateArgs,
+    }
+
+    fn read(words: &[&str]) -> Result<SimulateArgs, String> {
+        let line = ["celld simulate"].iter().chain(words);
+        Line::try_parse_from(line).map(|line| line.args).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn each_blend_of_the_command_line_is_that_of_the_arm_and_of_the_command_that_repeats_it() {
+        let usual = read(&[]).expect("no option is required");
+        assert_eq!((usual.blend, usual.repeat_arguments()), (EntrySpeed::Braked, String::new()));
+        for (word, entry_speed) in ENTRY_SPEEDS {
+            let args = read(&["--blend", word]).expect(word);
+            let stage = args.stage(7, SightKind::Corners).expect("the usual cell");
+            assert_eq!(stage.controller.blends, BlendConfig { entry_speed: *entry_speed, seed: 7 });
+            let repeated = args.repeat_arguments();
+            let words: Vec<&str> = repeated.split_whitespace().collect();
+            assert_eq!(read(&words).expect(word).blend, *entry_speed);
+        }
+        assert!(read(&["--blend", "quick"]).unwrap_err().contains("braked, kept, scaled, raised"));
+    }
 }

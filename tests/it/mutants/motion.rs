@@ -21,6 +21,10 @@ use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
 use std::rc::Rc;
+use ur_sim::motion::rounding::{BlendConfig, EntrySpeed};
+
+/// Of every joint, as config/cell.yaml has it, rad/s.
+const FULL_SPEED: f64 = 60.0 * TAU / 360.0;
 
 pub const CASES: &[Case] = &[
     Case {
@@ -87,6 +91,13 @@ pub const CASES: &[Case] = &[
         drill: a_job_begins,
     },
     Case {
+        name: "a corner is cut at full speed by an arm that does not brake for it",
+        rule: Rule::JointSpeed,
+        cell: blends_kept,
+        plant: corners_fast,
+        drill: until_the_first_breach,
+    },
+    Case {
         name: "a calibration round forgets its box",
         rule: Rule::RoundOutsideBox,
         cell: usual,
@@ -120,6 +131,22 @@ fn scaled(field: std::ops::Range<usize>, factor: f64) -> Plant {
         }
         true
     })
+}
+
+/// What follows another move over the table is as fast as the joints may be, and its corner is cut.
+fn corners_fast() -> Plant {
+    on_commands(|command| {
+        let goes_on = rtde::integer(command, rtde::OPTIONS) == 0;
+        if goes_on && rtde::integer(command, rtde::OPCODE) == rtde::MOVE_JOINT {
+            rtde::set_double(command, rtde::SPEED, FULL_SPEED);
+            rtde::set_double(command, rtde::BLEND, 0.03);
+        }
+        true
+    })
+}
+
+fn blends_kept(stage: &mut Stage) {
+    stage.controller.blends = BlendConfig { entry_speed: EntrySpeed::Kept, seed: SEED };
 }
 
 /// Of a line that follows a line, up from where an object is picked or put down, the arm goes this share.
@@ -159,6 +186,13 @@ fn a_job_begins(pair: &mut Pair, stage: &Stage) {
     arm(pair);
     submit(pair, stage, 0);
     until_found(pair, 20.0);
+}
+
+/// What follows from a breach is not looked at.
+fn until_the_first_breach(pair: &mut Pair, stage: &Stage) {
+    arm(pair);
+    submit(pair, stage, 0);
+    pair.run_until(20.0, |pair| !pair.breaches().is_empty());
 }
 
 /// While the cell is disarmed and its program still runs: a turn of the wrist by half a millirad.

@@ -3,7 +3,7 @@
 use super::*;
 use crate::files::camera::CameraCalibration;
 use cell_motion::bodies::Bodies;
-use cell_motion::path::ArmLimits;
+use cell_motion::path::{ArmLimits, BlendSpeed};
 use cell_values::units::rad_from_deg;
 use cell_vision::board::Board;
 use cell_vision::detect::Family;
@@ -50,6 +50,7 @@ fn arm(drawn: &Drawn) -> ArmModel {
             tool_speed: 0.25,
             tool_acceleration: 1.0,
         },
+        blend_speed: BlendSpeed::Unknown,
         bodies: Bodies::bare(&DhParameters::UR5E),
     }
 }

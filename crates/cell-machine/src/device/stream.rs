@@ -57,7 +57,8 @@ enum End {
     GoesOn,
     /// The arm rests at its end.
     Rests,
-    /// The arm rests at its end, unless another path is there when its turn comes: then it is left out.
+    /// The arm rests at its end. The segment is left out if another path is queued by then and it is not the
+    /// only one of its path.
     Waits,
 }
 
@@ -141,8 +142,8 @@ impl Stream {
         self.push(path, End::Rests, dh)
     }
 
-    /// Adds a path whose last segment goes to where what comes next is waited for: it is left out where that
-    /// is there in time. The end of such a path that goes on in another is not reported.
+    /// Adds a path that ends where the next one is waited for. If that is there in time, the last segment is
+    /// left out, unless it is the only one. The end of such a path that goes on in another is not reported.
     ///
     /// # Errors
     /// Too much is waiting.
@@ -159,7 +160,9 @@ impl Stream {
             let end = if index + 1 == segments.len() { end } else { End::GoesOn };
             let what = What::Segment { batch: self.batch, index, end };
             let nominal_s = nominal_duration_s(dh, &from, segment);
-            self.waiting.push_back(Item { what, command: segment_registers(segment, end), nominal_s });
+            // A path's only segment is never left out: the arm comes to where the next path begins by it.
+            let command = segment_registers(segment, end == End::GoesOn, end == End::Waits && index > 0);
+            self.waiting.push_back(Item { what, command, nominal_s });
             from = segment.target();
         }
         self.end = Some(from);
@@ -295,7 +298,7 @@ impl Stream {
     }
 }
 
-fn segment_registers(segment: &Segment, end: End) -> CommandRegisters {
+fn segment_registers(segment: &Segment, goes_on: bool, waits: bool) -> CommandRegisters {
     let (opcode, target, speed, acceleration, blend) = match *segment {
         Segment::Joint { target, speed, acceleration, blend } => {
             (Opcode::MoveJoint, target, speed, acceleration, blend)
@@ -305,11 +308,9 @@ fn segment_registers(segment: &Segment, end: End) -> CommandRegisters {
         }
     };
     // The last segment of a path ends at rest: what comes next may not be a motion.
-    let last = end != End::GoesOn;
-    let blend = if last { 0.0 } else { blend };
-    let waits = end == End::Waits;
+    let blend = if goes_on { blend } else { 0.0 };
     CommandRegisters {
-        last,
+        last: !goes_on,
         waits,
         arguments: target.0,
         speed,

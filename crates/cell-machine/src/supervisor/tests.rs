@@ -13,7 +13,7 @@ use crate::supervisor::model::{
 use crate::supervisor::order::JobOrder;
 use crate::supervisor::round::RoundOrder;
 use cell_calibration::files::hand_eye::Mount;
-use cell_motion::path::{ArmLimits, ArmModel};
+use cell_motion::path::{ArmLimits, ArmModel, BlendSpeed};
 use cell_motion::pick_n_place::CycleParameters;
 use cell_motion::testing::bodies;
 use cell_values::time::{Duration, Timestamp};
@@ -90,6 +90,7 @@ fn model() -> CellModel {
                 tool_speed: 0.5,
                 tool_acceleration: 2.0,
             },
+            blend_speed: BlendSpeed::Unknown,
             bodies: bodies(Isometry3::translation(-0.25, 0.18, 0.0), [0.5, 0.5]),
         },
         cycle: CycleParameters {

@@ -206,26 +206,6 @@ fn joint_speed_on(model: &ArmModel, from: &Joints, to: &Joints, speed: f64) -> f
 }
 
 #[test]
-fn the_corner_at_the_end_of_a_loaded_joint_move_is_slow_enough_for_the_vacuum() {
-    let model = model(0.5);
-    let from = home(&model, 0.5);
-    let mut target = from;
-    target.0[0] += 0.6;
-    let along = 0.6;
-    let speed = |blend: f64| {
-        let (speed, acceleration) = (model.limits.joint_speed, model.limits.joint_acceleration);
-        let leg = Leg::over(Segment::Joint { target, speed, acceleration, blend }, f64::NEG_INFINITY);
-        let path = CheckedPath::new(&model, &from, &[leg.holding(6.0)], &Room::empty()).expect("free");
-        let Segment::Joint { speed, .. } = path.segments()[0] else { panic!("a joint move") };
-        speed
-    };
-    let reach = model.tool_at(&from).translation.vector - model.tool_at(&target).translation.vector;
-    let per_radian = reach.norm() / along;
-    assert!(speed(0.02) * per_radian <= 1.02 * (6.0_f64 * 0.02).sqrt(), "{}", speed(0.02) * per_radian);
-    assert!(speed(0.0) > 1.5 * speed(0.02), "without a corner it is faster: {}", speed(0.0));
-}
-
-#[test]
 fn the_grippers_body_fills_what_is_between_the_cups_and_the_flange() {
     let cell = cell();
     let gripper = cell.tool.iter().find(|named| named.name == "the gripper").expect("there");

@@ -8,11 +8,13 @@
 //! without a gap; heights, singularities and joint speeds are looked at where the chain, or a fine division
 //! of it, has its points.
 
-use crate::arm::ArmModel;
+use crate::arm::{ArmModel, BlendSpeed};
 use crate::bodies::Room;
 use crate::bodies::sweep::{Bulge, Meeting, STRAIGHT, Sweep, Zone};
+use crate::path::corners::make_safe;
 use crate::path::fault::{PathFault, out_of_reach};
 use crate::path::leg::{Leg, Segment};
+use crate::path::traced::{Traced, at_distance};
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Vector3};
 use ur_arm::kinematics::{forward, inverse_from};
@@ -63,12 +65,6 @@ const LONGEST_S: f64 = 15.0;
 /// Pieces of a joint leg at which the tool's acceleration is looked at.
 const LOAD_SAMPLES: usize = 16;
 
-/// A leg as the joint positions it passes, and its segment with the speed it may have.
-struct Traced {
-    points: Vec<Joints>,
-    segment: Segment,
-}
-
 /// The segments of a path, if all of it passes.
 pub(super) fn path(
     model: &ArmModel,
@@ -93,6 +89,10 @@ pub(super) fn path(
         from = leg.segment.target();
     }
     blends_part(model, start, legs)?;
+    match model.blend_speed {
+        BlendSpeed::Unknown => make_safe(model, legs, &mut traced),
+        BlendSpeed::Braked => {}
+    }
     sweep(model, start, legs, &traced, room)?;
     Ok(traced.into_iter().map(|leg| leg.segment).collect())
 }
@@ -132,8 +132,10 @@ fn sweep(
         let found = |meeting| meets(model, (index == 0).then_some(start), meeting);
         chain(&mut sweep, &way.points, leg.zone).map_err(found)?;
         let Some((after, next)) = traced.get(index + 1).zip(legs.get(index + 1)) else { continue };
-        if leg.segment.blend() > 0.0 {
-            let corner = Corner::new(model, way, after, leg.segment.blend());
+        if way.segment.blend() > 0.0 {
+            // A blend that begins early cuts a little more than its radius: 1 mm at 30 mm. The air that is
+            // kept in corners is more than that.
+            let corner = Corner::new(model, way, after, way.segment.blend());
             // A corner is cut aside of both legs: clear of everything, and over everything, where one of
             // them goes down with less air.
             let zones: &[Zone] =
@@ -207,27 +209,6 @@ impl Corner {
     }
 }
 
-/// The first place along a chain, from its first point on, where the tool is `distance` (m) away from there.
-fn at_distance<'a>(model: &ArmModel, chain: impl Iterator<Item = &'a Joints>, distance: f64) -> Joints {
-    let mut chain = chain.peekable();
-    let Some(first) = chain.peek().copied().copied() else { return model.home };
-    let origin = model.tool_at(&first).translation.vector;
-    let away = |q: &Joints| (model.tool_at(q).translation.vector - origin).norm();
-    let mut near = first;
-    for next in chain {
-        if away(next) >= distance {
-            let (mut low, mut high) = (0.0, 1.0);
-            for _ in 0..12 {
-                let middle = 0.5 * (low + high);
-                if away(&near.lerp(next, middle)) >= distance { high = middle } else { low = middle }
-            }
-            return near.lerp(next, high);
-        }
-        near = *next;
-    }
-    near
-}
-
 fn check_numbers(model: &ArmModel, segment: &Segment) -> Result<(), PathFault> {
     let limits = &model.limits;
     let (speed, acceleration, blend, speed_limit, acceleration_limit) = match *segment {
@@ -272,7 +253,7 @@ fn trace_joint(model: &ArmModel, from: &Joints, to: &Joints, leg: &Leg) -> Resul
         check_place(model, &from.lerp(to, k as f64 / samples as f64), leg.floor)?;
     }
     let segment = if leg.hold.is_finite() { slowed_for_load(model, from, leg) } else { leg.segment };
-    Ok(Traced { points: vec![*from, *to], segment })
+    Ok(Traced { points: vec![*from, *to], segment, length: from.max_difference(to) })
 }
 
 /// A joint leg at a speed and an acceleration at which what is held withstands the tool's acceleration:
@@ -290,11 +271,7 @@ fn slowed_for_load(model: &ArmModel, from: &Joints, leg: &Leg) -> Segment {
     let along = places.windows(2).map(|p| (p[1] - p[0]).norm() / step).fold(0.0, f64::max);
     let bent = places.windows(3).map(|p| (p[2] - 2.0 * p[1] + p[0]).norm() / (step * step));
     let bent = bent.fold(0.0, f64::max);
-    let (mut speed, acceleration) = within_sum(speed, acceleration, along, bent, leg.hold);
-    if blend > 0.0 {
-        // The corner into the next leg is as narrow as the blend radius.
-        speed = speed.min((leg.hold * blend).sqrt() / along.max(1e-9));
-    }
+    let (speed, acceleration) = within_sum(speed, acceleration, along, bent, leg.hold);
     Segment::Joint { target, speed, acceleration, blend }
 }
 
@@ -333,8 +310,9 @@ fn trace_linear(model: &ArmModel, from: &Joints, to: &Joints, leg: &Leg) -> Resu
     if points.last().is_none_or(|last| last.max_difference(to) > 1e-3) {
         return Err(PathFault::Singular { which: "wrist".into() });
     }
-    let segment = slowed_on_line(model, &points, way.norm().max(turn * METRES_PER_RADIAN), leg)?;
-    Ok(Traced { points, segment })
+    let length = way.norm().max(turn * METRES_PER_RADIAN);
+    let segment = slowed_on_line(model, &points, length, leg)?;
+    Ok(Traced { points, segment, length })
 }
 
 /// Joints at the ends of so many equal pieces of a line, each from the one before.
@@ -384,9 +362,6 @@ fn slowed_on_line(model: &ArmModel, points: &[Joints], length: f64, leg: &Leg) -
         return Ok(leg.segment);
     }
     acceleration = acceleration.min(leg.hold);
-    if blend > 0.0 {
-        speed = speed.min((leg.hold * blend).sqrt());
-    }
     let limits = &model.limits;
     let least = (length / LONGEST_S).max(LEAST_SPEED).min(limits.tool_speed);
     for joint in 0..6 {

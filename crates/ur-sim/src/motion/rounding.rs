@@ -4,6 +4,7 @@
 //! the speed at its end, joint positions inside. Pure. The vendor publishes neither the curve nor the
 //! speed. The curve here is the cubic that touches both moves in joint space.
 
+use crate::motion::FRAME_SECONDS;
 use cell_values::units::Joints;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -15,6 +16,10 @@ const BLEND_START_RANGE: std::ops::RangeInclusive<f64> = 0.5..=1.1;
 
 /// A joint that has this share of the fastest one's speed leads.
 const LEADING_SHARE: f64 = 0.5;
+
+/// A curve in which a joint is too fast takes so much longer, and again, so often at most.
+const LONGER: f64 = 1.1;
+const LONGER_STEPS: usize = 80;
 
 /// At which speed the arm passes a blend.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -104,14 +109,29 @@ pub struct Rounding {
     from: JointState,
     to: JointState,
     seconds: f64,
+    smooth: bool,
 }
 
 impl Rounding {
-    /// Takes about so many seconds; `None` where no such curve is smooth.
-    pub fn new(from: JointState, to: JointState, seconds: f64) -> Option<Rounding> {
-        let [least, most] = smooth_seconds(&from, &to);
-        let seconds = seconds.clamp(least, most.max(least));
-        (least <= most && seconds > 0.0).then_some(Rounding { from, to, seconds })
+    /// Takes about so many seconds, as many as it takes to be smooth: if there is no such time, some joints
+    /// turn back.
+    pub fn new(from: JointState, to: JointState, seconds: f64) -> Rounding {
+        let [mut least, most] = smooth_seconds(&from, &to);
+        // Nor is one that does not lead faster than all are at the ends.
+        let fastest = fastest(&from, &to);
+        for _ in 0..LONGER_STEPS {
+            if (0..6).all(|joint| largest_speed(joint, &from, &to, least) <= fastest) {
+                break;
+            }
+            least = least.max(FRAME_SECONDS) * LONGER;
+        }
+        let seconds = seconds.clamp(least, most.max(least)).max(FRAME_SECONDS);
+        Rounding { from, to, seconds, smooth: least <= most }
+    }
+
+    /// No leading joint turns back that goes on in its direction.
+    pub fn is_smooth(&self) -> bool {
+        self.smooth
     }
 
     /// How long it takes, s.
@@ -132,20 +152,39 @@ impl Rounding {
     }
 }
 
-/// Between these times, s, no leading joint that goes on in its direction is faster in the curve than at
-/// both ends, or turns back: the speed of a cubic is a parabola over time.
+/// The highest speed of any joint at either end, rad/s.
+fn fastest(from: &JointState, to: &JointState) -> f64 {
+    from.qd.iter().chain(&to.qd).fold(0.0f64, |most, one| most.max(one.abs()))
+}
+
+/// The highest speed of a joint inside a cubic that takes so many seconds, rad/s: where its parabola turns.
+fn largest_speed(joint: usize, from: &JointState, to: &JointState, seconds: f64) -> f64 {
+    let mean = (to.q.0[joint] - from.q.0[joint]) / seconds.max(FRAME_SECONDS);
+    let (one, other) = (from.qd[joint], to.qd[joint]);
+    let (linear, square) = (6.0 * mean - 4.0 * one - 2.0 * other, 3.0 * (one + other) - 6.0 * mean);
+    let turns = -linear / (2.0 * square);
+    let inside = square.abs() > 1e-12 && (0.0..1.0).contains(&turns);
+    if inside { (one + linear * turns / 2.0).abs() } else { 0.0 }
+}
+
+/// Between these times, s, no leading joint is faster in the curve than at both ends, and none that goes on
+/// in its direction turns back: the speed of a cubic is a parabola over time.
 fn smooth_seconds(from: &JointState, to: &JointState) -> [f64; 2] {
-    let fastest = from.qd.iter().chain(&to.qd).fold(0.0f64, |most, one| most.max(one.abs()));
+    let fastest = fastest(from, to);
     let mut seconds = [0.0f64, f64::INFINITY];
     for joint in 0..6 {
         let (one, other) = (from.qd[joint], to.qd[joint]);
-        let (slow, fast) = (one.abs().min(other.abs()), one.abs().max(other.abs()));
-        if one * other < 0.0 || fast < LEADING_SHARE * fastest {
+        let (fast, slow) = if one.abs() > other.abs() { (one, other) } else { (other, one) };
+        if fast.abs() < LEADING_SHARE * fastest {
             continue;
         }
-        let way = (to.q.0[joint] - from.q.0[joint]).abs();
+        // As the faster end goes.
+        let (way, slow, fast) =
+            ((to.q.0[joint] - from.q.0[joint]) * fast.signum(), slow * fast.signum(), fast.abs());
         seconds[0] = seconds[0].max(3.0 * way / (slow + 2.0 * fast));
-        seconds[1] = seconds[1].min(3.0 * way / fast);
+        if slow >= 0.0 {
+            seconds[1] = seconds[1].min(3.0 * way / fast);
+        }
     }
     seconds
 }
@@ -158,7 +197,7 @@ mod tests {
     fn a_curve_has_the_positions_and_speeds_of_its_ends() {
         let from = JointState { q: Joints([0.1; 6]), qd: [0.5, 0.0, -0.2, 0.3, 0.0, 0.1] };
         let to = JointState { q: Joints([0.2; 6]), qd: [0.0, 0.7, 0.2, -0.3, 0.4, 0.1] };
-        let curve = Rounding { from, to, seconds: 0.2 };
+        let curve = Rounding { from, to, seconds: 0.2, smooth: true };
         let h = 1e-7;
         for joint in 0..6 {
             let at = |time: f64| curve.at(time).0[joint];
@@ -173,21 +212,41 @@ mod tests {
     #[test]
     fn no_curve_is_faster_than_its_ends_or_turns_back() {
         let state = |q: f64, qd: f64| JointState { q: Joints([q; 6]), qd: [qd; 6] };
-        for (begins, ends) in [(1.0, 0.1), (0.1, 1.0)] {
+        for (begins, ends) in [(1.0, 0.1), (0.1, 1.0), (1.0, -0.3), (-0.3, 1.0)] {
             for wanted in [0.01, 0.1, 0.2, 5.0] {
-                let curve = Rounding::new(state(0.0, begins), state(0.1, ends), wanted).expect("smooth");
+                let curve = Rounding::new(state(0.0, begins), state(0.1, ends), wanted);
+                assert!(curve.is_smooth());
                 let seconds = curve.seconds();
                 let at = |k: i32| curve.at(seconds * f64::from(k) / 500.0).0[0];
                 for k in 0..500 {
                     let speed = (at(k + 1) - at(k)) * 500.0 / seconds;
-                    assert!((-1e-9..1.001).contains(&speed), "{wanted} s, {k}: {speed} rad/s");
+                    let least = begins.min(ends).min(0.0) - 1e-9;
+                    // One that turns back anyhow does so as late as it takes.
+                    assert!(speed < 1.001 && (speed >= least || least < -1e-6), "{wanted} s, {k}: {speed}");
                 }
             }
         }
         // One joint would need longer than another one can take.
         let mut to = state(0.1, 1.0);
         to.q.0[1] = 10.0;
-        assert!(Rounding::new(state(0.0, 1.0), to, 0.1).is_none());
+        assert!(!Rounding::new(state(0.0, 1.0), to, 0.1).is_smooth());
+    }
+
+    /// The first joint leads; the second one rests at both ends and has to go 0.3 rad meanwhile.
+    #[test]
+    fn a_joint_that_does_not_lead_is_no_faster_than_the_others() {
+        let state = |q: [f64; 2], qd: [f64; 2]| JointState {
+            q: Joints([q[0], q[1], 0.0, 0.0, 0.0, 0.0]),
+            qd: [qd[0], qd[1], 0.0, 0.0, 0.0, 0.0],
+        };
+        for speeds in [[0.0, 0.0], [0.2, -0.1], [-0.4, 0.3]] {
+            let (from, to) = (state([0.0, 0.0], [1.0, speeds[0]]), state([0.1, 0.3], [1.0, speeds[1]]));
+            let curve = Rounding::new(from, to, 0.1);
+            let seconds = curve.seconds();
+            let at = |k: i32| curve.at(seconds * f64::from(k) / 500.0).0[1];
+            let fastest = (0..500).map(|k| ((at(k + 1) - at(k)) * 500.0 / seconds).abs()).fold(0.0, f64::max);
+            assert!(fastest > 0.5 && fastest < 1.001, "{speeds:?}: {fastest} rad/s in {seconds} s");
+        }
     }
 
     #[test]

@@ -2,9 +2,10 @@
 //!
 //! In: the move under way, which has come to its blend, and the next one. Out: the next one as a segment
 //! that begins with the rounded corner; none where there is no corner to round: nothing blends, the tool
-//! hardly travels on one of the sides, the way turns back, a duration is given, or no smooth curve has the
-//! speeds of both sides. Then the two moves overlap, and the first one brakes as hard as its blend is short.
-//! The same holds for `movec` and `movep` after such a move: nothing is known of them.
+//! hardly travels on one of the sides, the way turns back, or a duration is given. Then the two moves
+//! overlap, and the first one brakes as hard as its blend is short. Where no smooth curve has the speeds of
+//! both sides, the arm takes up less of the next move's speed, or a joint turns back a little. The same
+//! holds for `movec` and `movep` after such a move: nothing is known of them.
 
 use crate::motion::mover::{Mover, Task};
 use crate::motion::rounding::{EntrySpeed, JointState, Rounding};
@@ -16,6 +17,9 @@ use nalgebra::Isometry3;
 
 /// Steps in which a tool move is followed to where a corner ends.
 const STEPS: u32 = 8;
+
+/// Steps in which the speed at a corner's end is lowered to the one at its beginning.
+const SPEED_STEPS: usize = 8;
 
 /// A slower tool has no speed to keep, m/s.
 const MIN_TOOL_SPEED_M_S: f64 = 1e-3;
@@ -72,16 +76,20 @@ impl Mover {
         }
         let brakes = (2.0 * limits.acceleration * joins.left).sqrt() * joins.metres;
         let wanted = reading.at_end(speed, limits.speed * joins.metres, brakes);
-        // No joint is faster than it can be.
-        let entry = (wanted / joins.metres).min(joins.fastest(&self.arm));
-        let end_speed = entry * joins.metres;
-        let goes = JointState { q: joins.q, qd: joins.direction.map(|one| one * entry) };
         let sides = (turns - begins).norm() + (ends - turns).norm();
         // A parabola that touches both sides.
         let arc = (2.0 * (ends - begins).norm() + sides) / 3.0;
-        let Some(rounding) = Rounding::new(came, goes, 2.0 * arc / (speed + end_speed)) else {
-            return Ok(None);
+        let curve = |wanted: f64| {
+            // No joint is faster than it can be.
+            let entry = (wanted / joins.metres).min(joins.fastest(&self.arm));
+            let goes = JointState { q: joins.q, qd: joins.direction.map(|one| one * entry) };
+            (entry, Rounding::new(came, goes, 2.0 * arc / (speed + entry * joins.metres)))
         };
+        let least = wanted.min(speed);
+        let speeds = (0..=SPEED_STEPS).map(|k| wanted + (least - wanted) * k as f64 / SPEED_STEPS as f64);
+        let smooth = speeds.map(curve).find(|(_, rounding)| rounding.is_smooth());
+        let (entry, rounding) = smooth.unwrap_or_else(|| curve(least));
+        let end_speed = entry * joins.metres;
         let segment = match next {
             Next::Joints(to) => Segment::joint(&self.arm, &joins.q, to, limits, Start::Motion(entry)),
             Next::Tool(to) => {

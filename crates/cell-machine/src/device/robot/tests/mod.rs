@@ -10,7 +10,7 @@ use crate::device::program::Nonce;
 use crate::device::robot::Robot;
 use crate::device::robot_types::{Link, RobotCommand, RobotEvent, RobotParameters};
 use cell_motion::bodies::{Bodies, Room};
-use cell_motion::path::{ArmLimits, ArmModel, CheckedPath, Leg, Segment};
+use cell_motion::path::{ArmLimits, ArmModel, BlendSpeed, CheckedPath, Leg, Segment};
 use cell_values::time::{Duration, Timestamp};
 use cell_values::units::Joints;
 use fake::Fake;
@@ -206,6 +206,7 @@ fn model() -> ArmModel {
             tool_speed: 0.5,
             tool_acceleration: 1.0,
         },
+        blend_speed: BlendSpeed::Unknown,
         bodies: Bodies::bare(&DhParameters::UR5E),
     }
 }

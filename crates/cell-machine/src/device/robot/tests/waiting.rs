@@ -21,6 +21,19 @@ fn a_way_to_a_waiting_place_ends_there_unless_another_follows() {
     assert_eq!(rig.fake.options, [0, 3, 1, 0, 3], "only the last segment may be left out");
 }
 
+/// A way that ends where its corner would be: what goes on begins there.
+#[test]
+fn the_only_segment_of_a_way_to_a_waiting_place_is_not_left_out() {
+    let mut rig = Rig::running();
+    rig.command(RobotCommand::SetOut(path(HOME, 1)));
+    rig.run_ms(5);
+    rig.command(RobotCommand::Stream(path(turned(0.1), 1)));
+    rig.run_ms(400);
+    assert!(!rig.saw(&RobotEvent::PathFinished { batch: 1 }), "{:?}", rig.events);
+    assert!(rig.saw(&RobotEvent::PathFinished { batch: 2 }), "{:?}", rig.events);
+    assert_eq!(rig.fake.options, [1, 1]);
+}
+
 /// As no path begins on one.
 #[test]
 fn a_way_to_a_waiting_place_is_not_gone_on_from_on_an_old_answer() {

@@ -1,0 +1,344 @@
+//! Corners that are safe at whatever speed the controller takes them.
+//!
+//! In: the legs of a path as they were traced. Out: the same legs, some of them slower, some corners left
+//! out: the arm stops there. Pure.
+//!
+//! How fast a controller is in a blend is not published. It may brake before the blend, keep its speed to
+//! the end of it, or take up the speed of the next segment inside it; that it keeps its speed was said in
+//! the vendor's forum (topic 3205), that the tool became faster inside was seen on a UR3e (topic 41354).
+//! Whichever it is, the next segment has to be long enough to brake in, `v^2 <= out^2 + 2 a (length - r)`,
+//! where `out` is the speed at which it may be left; no segment is entered faster than it may be driven;
+//! and what is held withstands the turn, also where the blend begins late. Where slowing both segments for
+//! that costs more time than a stop, the arm stops.
+//!
+//! Not covered: the acceleration of the joints inside a blend of an empty arm, which the controller limits.
+
+use crate::arm::ArmModel;
+use crate::path::leg::{Leg, Segment};
+use crate::path::traced::{Traced, at_distance};
+use nalgebra::Vector3;
+
+/// A blend may be so much shorter or longer than its radius: one that began late was seen; how late, or
+/// early, it may be is not known.
+const BLEND_RADIUS_MIN_RATIO: f64 = 0.5;
+const BLEND_RADIUS_MAX_RATIO: f64 = 1.1;
+
+/// Pieces of a joint segment's part in a blend at which the tool's speed is looked at.
+const TOOL_SPEED_SAMPLES: usize = 8;
+
+/// A segment that moves the tool less than this has no tool speed that could be kept: m for each of its own
+/// units.
+const MIN_TOOL_M_PER_UNIT: f64 = 1e-3;
+
+/// A segment in its own unit, the leading joint's rad or the tool's m, and how the tool moves at one of its
+/// ends.
+struct Side {
+    length: f64,
+    /// The part of it that belongs to the blend.
+    inside: f64,
+    /// Metres of the tool for each unit there, at most and at least.
+    max_m_per_unit: f64,
+    min_m_per_unit: f64,
+    /// Where the tool is at the blend's end, from the corner, m.
+    from_corner: Vector3<f64>,
+}
+
+/// Makes every corner of a path safe, the last one first: how fast a segment may be entered depends on how
+/// fast it may be left.
+pub(super) fn make_safe(model: &ArmModel, legs: &[Leg], traced: &mut [Traced]) {
+    // Speed at which the segment after the corner may be left, and the part of it that the next corner
+    // takes, in its own unit.
+    let (mut out, mut taken) = (0.0, 0.0);
+    for index in (0..traced.len().saturating_sub(1)).rev() {
+        let (before, after) = traced.split_at_mut(index + 1);
+        let (Some(way), Some(next)) = (before.last_mut(), after.first_mut()) else { return };
+        let hold = legs.iter().skip(index).take(2).map(|leg| leg.hold).fold(f64::INFINITY, f64::min);
+        let from_rest = index == 0 || legs[index - 1].segment.blend() <= 0.0;
+        let corner = Corner { from_rest, hold, out, taken };
+        (out, taken) = corner.settle(model, way, next).unwrap_or((0.0, 0.0));
+    }
+}
+
+/// What counts for a corner besides its two segments.
+struct Corner {
+    /// The segment before it begins at rest.
+    from_rest: bool,
+    /// Largest acceleration that what is held withstands, m/s2.
+    hold: f64,
+    /// How fast the next segment may be left, and its part in the corner after it; in its unit.
+    out: f64,
+    taken: f64,
+}
+
+impl Corner {
+    /// Slows the two segments or takes the corner out. Then: how fast the first may be left, and its part in
+    /// the corner, in its unit; `None` where it ends at rest.
+    fn settle(&self, model: &ArmModel, way: &mut Traced, next: &mut Traced) -> Option<(f64, f64)> {
+        let radius = way.segment.blend();
+        if radius <= 0.0 {
+            return None;
+        }
+        let settled = self.speeds(model, way, next, radius).and_then(|(entry, exit, inside)| {
+            let slow = with_speed(&way.segment, entry);
+            let slow_next = with_speed(&next.segment, exit);
+            let lost = seconds(way, &slow) - seconds(way, &way.segment) + seconds(next, &slow_next)
+                - seconds(next, &next.segment);
+            (lost <= saved(&slow, inside)).then_some((slow, slow_next, entry, inside))
+        });
+        let Some((slow, slow_next, entry, inside)) = settled else {
+            way.segment = with_blend(&way.segment, 0.0);
+            return None;
+        };
+        (way.segment, next.segment) = (slow, slow_next);
+        Some((entry, inside))
+    }
+
+    /// Speeds of the two segments at which the corner is safe, and the first one's part in it, in their
+    /// units.
+    fn speeds(&self, model: &ArmModel, way: &Traced, next: &Traced, radius: f64) -> Option<(f64, f64, f64)> {
+        let radius = BLEND_RADIUS_MAX_RATIO * radius;
+        let (one, other) = (Side::new(model, way, radius, true), Side::new(model, next, radius, false));
+        if one.max_m_per_unit < MIN_TOOL_M_PER_UNIT || other.min_m_per_unit < MIN_TOOL_M_PER_UNIT {
+            return None;
+        }
+        let (speed, acceleration) = pace(&way.segment);
+        let (next_speed, next_acceleration) = pace(&next.segment);
+        let room = other.length - other.inside - self.taken;
+        let brakes = (self.out * self.out + 2.0 * next_acceleration * room.max(0.0)).sqrt();
+        let turns = self.turn_limit(&one, &other);
+        // Raised: the next segment's own speed in the blend already.
+        let exit = next_speed.min(brakes).min(turns / other.max_m_per_unit);
+        // The later the blend begins, the faster the arm has become.
+        let before = one.length - BLEND_RADIUS_MIN_RATIO / BLEND_RADIUS_MAX_RATIO * one.inside;
+        let reached = match self.from_rest {
+            true => (2.0 * acceleration * before.max(0.0)).sqrt(),
+            false => f64::INFINITY,
+        };
+        // Kept: the tool goes on as fast as it came.
+        let kept = (exit * other.min_m_per_unit).min(turns) / one.max_m_per_unit;
+        let entry = if speed.min(reached) <= kept { speed } else { kept };
+        (entry > 0.0 && exit > 0.0).then_some((entry, exit, one.inside))
+    }
+
+    /// The tool's speed at which what is held withstands the turn, m/s: along the corner's arc the velocity
+    /// turns, or grows from nothing where the one before was slow.
+    fn turn_limit(&self, one: &Side, other: &Side) -> f64 {
+        let chord = (other.from_corner - one.from_corner).norm();
+        let arc = (2.0 * chord + one.from_corner.norm() + other.from_corner.norm()) / 3.0;
+        let [came, goes] =
+            [-one.from_corner, other.from_corner].map(|way| way.try_normalize(1e-9).unwrap_or_default());
+        let change = (goes - came).norm().max(1.0);
+        (self.hold * BLEND_RADIUS_MIN_RATIO / BLEND_RADIUS_MAX_RATIO * arc / change).sqrt()
+    }
+}
+
+impl Side {
+    /// Of the segment that ends at the corner, or of that which begins there.
+    fn new(model: &ArmModel, way: &Traced, radius: f64, ends: bool) -> Side {
+        let place = |index: Option<&cell_values::units::Joints>| {
+            index.map_or_else(Vector3::zeros, |q| model.tool_at(q).translation.vector)
+        };
+        let far = match ends {
+            true => at_distance(model, way.points.iter().rev(), radius),
+            false => at_distance(model, way.points.iter(), radius),
+        };
+        let corner = if ends { way.points.last() } else { way.points.first() };
+        let away = model.tool_at(&far).translation.vector - place(corner);
+        let length = way.length;
+        match (way.segment, corner) {
+            (Segment::Joint { .. }, Some(corner)) => {
+                let inside = corner.max_difference(&far);
+                let at = |k: usize| place(Some(&corner.lerp(&far, k as f64 / TOOL_SPEED_SAMPLES as f64)));
+                let piece = (inside / TOOL_SPEED_SAMPLES as f64).max(1e-9);
+                let metres = (0..TOOL_SPEED_SAMPLES).map(|k| (at(k + 1) - at(k)).norm() / piece);
+                let (least, most) =
+                    metres.fold((f64::INFINITY, 0.0f64), |(low, high), one| (low.min(one), high.max(one)));
+                Side { length, inside, max_m_per_unit: most, min_m_per_unit: least, from_corner: away }
+            }
+            (Segment::Joint { .. } | Segment::Linear { .. }, _) => {
+                // A line that mostly turns counts longer than it is.
+                let share = (place(way.points.last()) - place(way.points.first())).norm() / length.max(1e-9);
+                Side {
+                    length,
+                    inside: away.norm() / share.max(1e-9),
+                    max_m_per_unit: share,
+                    min_m_per_unit: share,
+                    from_corner: away,
+                }
+            }
+        }
+    }
+}
+
+fn pace(segment: &Segment) -> (f64, f64) {
+    match *segment {
+        Segment::Joint { speed, acceleration, .. } | Segment::Linear { speed, acceleration, .. } => {
+            (speed, acceleration)
+        }
+    }
+}
+
+fn with_speed(segment: &Segment, least: f64) -> Segment {
+    let mut slower = *segment;
+    match &mut slower {
+        Segment::Joint { speed, .. } | Segment::Linear { speed, .. } => *speed = speed.min(least),
+    }
+    slower
+}
+
+fn with_blend(segment: &Segment, radius: f64) -> Segment {
+    let mut other = *segment;
+    match &mut other {
+        Segment::Joint { blend, .. } | Segment::Linear { blend, .. } => *blend = radius,
+    }
+    other
+}
+
+/// Of a segment from rest to rest, s.
+fn seconds(way: &Traced, segment: &Segment) -> f64 {
+    let (speed, acceleration) = pace(segment);
+    let reached = speed.min((acceleration * way.length).sqrt());
+    way.length / reached.max(1e-9) + reached / acceleration
+}
+
+/// What a blend saves against a stop, s: in it both segments run at the same time.
+fn saved(segment: &Segment, inside: f64) -> f64 {
+    let (speed, acceleration) = pace(segment);
+    let speed = speed.min((2.0 * acceleration * inside).sqrt()).max(1e-9);
+    inside / speed + speed / (2.0 * acceleration)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bodies::Room;
+    use crate::path::{BlendSpeed, CheckedPath};
+    use crate::pick_n_place::tool_down;
+    use crate::testing::model;
+    use cell_values::units::Joints;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// How a path goes over a table and down at its end.
+    #[derive(Clone, Copy, Debug)]
+    struct Way {
+        /// From the corner over the end, m, and the radius of the blend there.
+        down: f64,
+        blend: f64,
+        joint: (f64, f64),
+        line: (f64, f64),
+        hold: f64,
+    }
+
+    const USUAL: Way =
+        Way { down: 0.06, blend: 0.03, joint: (1.5, 3.0), line: (0.25, 1.0), hold: f64::INFINITY };
+
+    fn path(model: &ArmModel, way: &Way) -> (Joints, CheckedPath) {
+        let at = |x: f64, z: f64| {
+            let near = model.home;
+            model.joints_in_work_posture(&tool_down(x, 0.25, z, 0.0), &near).expect("reachable")
+        };
+        let (start, over, low) = (at(0.1, 0.1 + way.down), at(0.4, 0.1 + way.down), at(0.4, 0.1));
+        let (speed, acceleration) = way.joint;
+        let across = Segment::Joint { target: over, speed, acceleration, blend: way.blend };
+        let (speed, acceleration) = way.line;
+        let down = Segment::Linear { target: low, speed, acceleration, blend: 0.0 };
+        let legs = [across, down].map(|segment| Leg::over(segment, 0.0).holding(way.hold));
+        (start, CheckedPath::new(model, &start, &legs, &Room::empty()).expect("free"))
+    }
+
+    /// The tool's largest speed at which the first segment can come to the blend, by its own trapezoid.
+    fn comes_at(model: &ArmModel, start: &Joints, across: &Segment) -> f64 {
+        let (speed, acceleration) = pace(across);
+        let (target, travel) = (across.target(), start.max_difference(&across.target()));
+        let tool = |share: f64| model.tool_at(&start.lerp(&target, share)).translation.vector;
+        let begins = (0..1000).map(|k| f64::from(k) / 1000.0);
+        let begins = begins
+            .rev()
+            .find(|share| (tool(*share) - tool(1.0)).norm() >= BLEND_RADIUS_MIN_RATIO * across.blend());
+        let begins = begins.unwrap_or(0.0);
+        let reached = speed.min((2.0 * acceleration * begins * travel).sqrt());
+        reached * (tool(begins + 1e-4) - tool(begins)).norm() / (1e-4 * travel)
+    }
+
+    #[test]
+    fn the_next_segment_can_always_be_braked() {
+        let model = model(0.5);
+        let (mut blended, mut stops) = (0, 0);
+        for seed in 0..300 {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let down = rng.random_range(0.03..0.2);
+            let hold = if rng.random() { f64::INFINITY } else { rng.random_range(0.5..40.0) };
+            let way = Way {
+                down,
+                blend: (rng.random_range(0.1..0.9) * down).min(0.05),
+                joint: (rng.random_range(0.3..2.0), rng.random_range(1.0..4.0)),
+                line: (rng.random_range(0.05..0.5), rng.random_range(0.5..2.0)),
+                hold,
+            };
+            let (start, path) = path(&model, &way);
+            let [across, below] = path.segments() else { panic!("{path:?}") };
+            let ((next_speed, next_acceleration), radius) = (pace(below), across.blend());
+            if radius > 0.0 {
+                blended += 1;
+                let came = comes_at(&model, &start, across);
+                let brakes = (2.0 * next_acceleration * (down - radius)).sqrt();
+                assert!(
+                    came.max(next_speed) <= 1.01 * brakes,
+                    "{seed}: {came} and {next_speed}, {brakes} m/s"
+                );
+                assert!(came <= 1.01 * next_speed, "{seed}: {came} m/s into a segment of {next_speed}");
+                // A right angle, along a parabola of half the radius: kept and raised.
+                let arc = (2.0 * std::f64::consts::SQRT_2 + 2.0) / 3.0 * radius * BLEND_RADIUS_MIN_RATIO;
+                let turned = std::f64::consts::SQRT_2 * came.max(next_speed).powi(2) / arc;
+                assert!(turned <= 1.1 * hold, "{seed}: {turned} m/s2, where {hold} holds");
+            } else {
+                stops += 1;
+            }
+            // What was checked is not slowed again.
+            let legs = [*across, *below].map(|segment| Leg::over(segment, 0.0).holding(hold));
+            let again = CheckedPath::new(&model, &start, &legs, &Room::empty()).expect("free");
+            assert_eq!(again.segments(), path.segments(), "{seed}");
+        }
+        assert!(blended > 20 && stops > 20, "{blended} corners are cut, {stops} are stops");
+    }
+
+    #[test]
+    fn a_corner_that_is_safe_at_full_speed_stays_as_it_is() {
+        let model = model(0.5);
+        let long = Way { down: 0.3, joint: (0.3, 3.0), ..USUAL };
+        let (_, path) = path(&model, &long);
+        let [across, below] = path.segments() else { panic!("{path:?}") };
+        assert_eq!((pace(across), across.blend(), pace(below)), (long.joint, long.blend, long.line));
+    }
+
+    #[test]
+    fn a_fast_way_to_a_short_descent_ends_with_a_stop_and_a_slow_one_is_slowed() {
+        let model = model(0.5);
+        let (_, fast) = path(&model, &USUAL);
+        assert_eq!((fast.segments()[0].blend(), pace(&fast.segments()[0])), (0.0, USUAL.joint));
+        let nearly = Way { joint: (0.6, 3.0), ..USUAL };
+        let (_, slowed) = path(&model, &nearly);
+        let across = &slowed.segments()[0];
+        assert!(across.blend() > 0.0 && pace(across).0 < nearly.joint.0, "{across:?}");
+        // A controller that is known to brake before corners gets the path unchanged.
+        let braked = ArmModel { blend_speed: BlendSpeed::Braked, ..model };
+        assert_eq!(path_of_braked(&braked), (0.03, USUAL.joint));
+    }
+
+    fn path_of_braked(model: &ArmModel) -> (f64, (f64, f64)) {
+        let (_, path) = path(model, &USUAL);
+        (path.segments()[0].blend(), pace(&path.segments()[0]))
+    }
+
+    #[test]
+    fn what_holds_little_is_not_turned_fast() {
+        let model = model(0.5);
+        let slow = Way { joint: (0.4, 3.0), line: (0.25, 1.0), ..USUAL };
+        let (_, held) = path(&model, &Way { hold: 0.5, ..slow });
+        let (_, empty) = path(&model, &slow);
+        assert!(empty.segments()[0].blend() > 0.0);
+        let [across, _] = held.segments() else { panic!("{held:?}") };
+        assert!(across.blend() == 0.0 || pace(across).0 < pace(&empty.segments()[0]).0, "{across:?}");
+    }
+}

@@ -1,0 +1,41 @@
+//! A leg as it was traced: the joint positions it passes, its length, its segment with the speed it may
+//! have.
+//!
+//! In: chains of joint positions. Out: places along them by how far the tool is. Pure.
+
+use crate::arm::ArmModel;
+use crate::path::leg::Segment;
+use cell_values::units::Joints;
+
+/// A leg as the joint positions it passes, and its segment with the speed it may have.
+pub(super) struct Traced {
+    pub points: Vec<Joints>,
+    pub segment: Segment,
+    /// How long it is in its own unit: rad of the leading joint, m of the tool.
+    pub length: f64,
+}
+
+/// The first place along a chain, from its first point on, where the tool is `distance` (m) away from there.
+pub(super) fn at_distance<'a>(
+    model: &ArmModel,
+    chain: impl Iterator<Item = &'a Joints>,
+    distance: f64,
+) -> Joints {
+    let mut chain = chain.peekable();
+    let Some(first) = chain.peek().copied().copied() else { return model.home };
+    let origin = model.tool_at(&first).translation.vector;
+    let away = |q: &Joints| (model.tool_at(q).translation.vector - origin).norm();
+    let mut near = first;
+    for next in chain {
+        if away(next) >= distance {
+            let (mut low, mut high) = (0.0, 1.0);
+            for _ in 0..12 {
+                let middle = 0.5 * (low + high);
+                if away(&near.lerp(next, middle)) >= distance { high = middle } else { low = middle }
+            }
+            return near.lerp(next, high);
+        }
+        near = *next;
+    }
+    near
+}
