@@ -209,7 +209,7 @@ pub struct Tolerances {
     pub retries: u32,
     /// How often a job outlives a lost object or a missed heartbeat.
     pub stop_retries: u32,
-    /// How long the arm is at rest before a picture is taken, s.
+    /// How long the arm is at rest before a picture is taken, s; shorter than the least counts as that.
     pub settle_s: f64,
     /// Largest mean residual of the reference markers in a look, m.
     pub reference_residual_m: f64,

@@ -18,6 +18,7 @@ use crate::config::parts::{CellParts, TableParts};
 use crate::jobs::journal::old::HistoryLimits;
 use cell_machine::device::gripper_types::UNIT;
 use cell_machine::orders::Approval;
+use cell_machine::stillness::{LEAST_REST, SIMULATED_LEAST_REST};
 use cell_machine::supervisor::model::ForeignRule;
 use cell_parts::fields::{
     each, host, joints_deg, list, optional, path, port, required_each, required_number, required_positive,
@@ -82,10 +83,10 @@ pub const FULL_LOOK_EVERY: u32 = 20;
 /// How often something is tried again unless the configuration says otherwise.
 pub const RETRIES: u32 = 2;
 
-/// How long the arm is at rest before a picture is taken, s, unless the file says otherwise: of a simulated
-/// arm, whose camera does not swing, two states of the robot.
-pub const SETTLE_S: f64 = 0.15;
-pub const SIMULATED_SETTLE_S: f64 = 0.016;
+/// How long the arm is at rest before a picture is taken, s, unless the file says longer: of a real arm,
+/// and of a simulated one, whose camera does not swing.
+pub const SETTLE_S: f64 = LEAST_REST.as_secs_f64();
+pub const SIMULATED_SETTLE_S: f64 = SIMULATED_LEAST_REST.as_secs_f64();
 
 /// Seconds without motion after which arming lapses, unless the file says otherwise.
 pub const ARM_LAPSE_S: f64 = 600.0;

@@ -11,6 +11,7 @@ use cell_calibration::drawn::{CameraMount, Drawn};
 use cell_calibration::files::hand_eye::Mount;
 use cell_machine::device::gripper_types::Channels;
 use cell_machine::event::Arm;
+use cell_machine::stillness::{LEAST_REST, SIMULATED_LEAST_REST};
 use cell_machine::supervisor::model::{
     CellModel, CellObject, DeviceAddresses, ForeignRule, GripSettings, Tolerances,
 };
@@ -139,7 +140,7 @@ fn model_of(config: &CellConfig, measured: &Measured, objects: Vec<CellObject>) 
             measurement_std: tolerances.goal_position_m,
             retries: tolerances.retries,
             stop_retries: tolerances.stop_retries,
-            settle: Duration::from_secs_f64(tolerances.settle_s),
+            settle: settle(config),
             look_deadline: Duration::from_secs(60),
             phase_deadline: Duration::from_secs(60),
             arm_lapse: Duration::from_secs_f64(config.arm_lapse_s),
@@ -234,6 +235,12 @@ pub fn check_reach(config: &CellConfig, task: &[Transport]) -> Result<(), String
             .map_err(|fault| format!("object {id} cannot be carried to its goal: {fault}"))?;
     }
     Ok(())
+}
+
+/// How long the arm rests before a picture: no shorter than a real arm, or a simulated one, takes for it.
+fn settle(config: &CellConfig) -> Duration {
+    let least = if config.simulation.is_some() { SIMULATED_LEAST_REST } else { LEAST_REST };
+    Duration::from_secs_f64(config.tolerances.settle_s).max(least)
 }
 
 /// The arm with the table at `base_from_table`: nominal for calibration, calibrated for work.

@@ -38,6 +38,7 @@ use ur_sim::config::{SimFile, SimMount, SimPorts};
 use ur_sim::controller::config::SOFTWARE;
 use ur_sim::controller::modes::Control;
 use ur_sim::controller::program_files::ProgramFiles;
+use ur_sim::motion::rest::RestConfig;
 use ur_sim::motion::rounding::EntrySpeed;
 use ur_sim::motion::safety::SafetyLimits;
 use ur_sim::world::drive::Drive;
@@ -241,6 +242,7 @@ pub fn sim_file(instance: &Instance, config: &CellConfig, choice: &DemoChoice) -
         control: Control::Remote,
         safety: SafetyLimits::default(),
         entry_speed: EntrySpeed::default(),
+        rest: RestConfig::recorded(),
         program_folder: None,
         programs: ProgramFiles::default(),
         errors: DEFAULT_ERRORS,

@@ -5,6 +5,7 @@
 
 use crate::doctor::{Area, Line};
 use cell_machine::device::robot_types::{InputsTaken, Link, RobotState};
+use cell_machine::stillness::{STILL_RAD, Sway};
 use cell_machine::supervisor::safety_words::{mode_words, safety_hint, safety_words};
 use cell_values::time::Duration;
 use ur_arm::kinematics::{DhParameters, model_of};
@@ -66,6 +67,8 @@ pub struct RtdeFacts {
     pub lost: u32,
     /// Longest time between two.
     pub longest_gap: Duration,
+    /// The joint that moved most within the time in which the arm has to rest for a picture.
+    pub sway: Sway,
     /// What the controller said in words.
     pub messages: Vec<String>,
 }
@@ -217,6 +220,9 @@ impl RobotFacts {
             lines.push(stream_line(rtde));
             lines.extend(state_lines(state));
         }
+        if rtde.packages > 0 {
+            lines.push(rest_line(rtde.sway));
+        }
         for message in &rtde.messages {
             lines.push(note("RTDE", format!("the controller says: {message}"), ""));
         }
@@ -259,6 +265,15 @@ fn stream_line(rtde: &RtdeFacts) -> Line {
     } else {
         ok("states", found)
     }
+}
+
+fn rest_line(sway: Sway) -> Line {
+    if sway.by_rad <= STILL_RAD {
+        return ok("rest", format!("at rest: {sway}"));
+    }
+    let hint = "wait until the arm has stopped; if it shakes at rest, check its mounting and the payload in its \
+                installation: celld takes no picture until it rests";
+    problem("rest", format!("not at rest: {sway}"), hint)
 }
 
 fn safety_line(mode: SafetyMode) -> Line {

@@ -7,6 +7,7 @@ use super::robot::{DashboardFacts, LinkFault, PrimaryFacts, RobotFacts, RtdeFact
 use super::*;
 use cell_machine::device::gripper_types::ModbusFailure;
 use cell_machine::device::robot_types::InputsTaken;
+use cell_machine::stillness::Sway;
 use cell_values::time::Duration;
 use cell_vision::observe::reference::{DriftLimits, ReferenceCheck, ReferenceError};
 use ur_arm::kinematics::DhParameters;
@@ -119,7 +120,7 @@ fn each_fault_of_the_controller_has_one_line() {
     fn rtde(facts: &mut RobotFacts) -> &mut RtdeFacts {
         facts.rtde.as_mut().expect("an RTDE link")
     }
-    let cases: [Case<RobotFacts>; 15] = [
+    let cases: [Case<RobotFacts>; 16] = [
         (Problem, "dashboard", "Dashboard Server", |f| f.dashboard = Err(LinkFault::Refused)),
         (Problem, "dashboard", "`celld sim`", |f| {
             (f.dashboard, f.simulated) = (Err(LinkFault::Refused), true);
@@ -133,6 +134,7 @@ fn each_fault_of_the_controller_has_one_line() {
             dashboard(f).safety_mode = Some(SafetyMode::RobotEmergencyStop);
         }),
         (Problem, "arm", "pendant", |f| dashboard(f).robot_mode = Some(RobotMode::Booting)),
+        (Problem, "rest", "shakes", |f| rtde(f).sway = Sway { joint: 3, by_rad: 3e-4 }),
         (Note, "dashboard", "800 ms", |f| dashboard(f).slowest = Duration::from_millis(800)),
         (Problem, "registers", "input_int_register_24", |f| {
             rtde(f).taken = Some(taken());

@@ -34,6 +34,10 @@ const CORNER_STD_PX: f64 = 0.06;
 /// A marker counts as seen when all of it is this far inside the picture, px.
 const MARGIN_PX: f64 = 3.0;
 
+/// How far the camera may move along an exposure, m and rad: about a pixel at 0.4 m.
+const MAX_EXPOSURE_TRAVEL_M: f64 = 5e-4;
+const MAX_EXPOSURE_TURN_RAD: f64 = 1.5e-3;
+
 /// Seconds of detection a frame, from and to.
 const DETECTION_S: (f64, f64) = (0.03, 0.06);
 
@@ -273,6 +277,13 @@ fn usable(image: &Image) -> Result<(), Code> {
     judge(&measure(&image.gray()), &PictureLimits::STANDARD).map_err(|fault| Code::of_picture(&fault))
 }
 
+/// The camera moves too far along an exposure for a sharp picture: by about a pixel.
+fn moves(places: &[Isometry3<f64>]) -> bool {
+    let (Some(first), Some(last)) = (places.first(), places.last()) else { return false };
+    let way = (first.translation.vector - last.translation.vector).norm();
+    way > MAX_EXPOSURE_TRAVEL_M || first.rotation.angle_to(&last.rotation) > MAX_EXPOSURE_TURN_RAD
+}
+
 /// Markers by their corners, as an undisturbed detector would find them.
 fn see_corners(
     numbers: &BTreeMap<Cells, u32>,
@@ -288,10 +299,12 @@ fn see_corners(
         return Err(Code::CameraOverexposed);
     } else if exposure.fog > 0.9 {
         return Err(Code::CameraSeesNothing);
-    } else if exposure.blur_px > 6.0 || moment.places().len() > 1 {
+    } else if exposure.blur_px > 6.0 || moves(moment.places()) {
         return Err(Code::CameraBlurred);
     }
-    let Some(table_from_camera) = moment.places().first() else { return Ok(Vec::new()) };
+    let Some(table_from_camera) = moment.places().get(moment.places().len() / 2) else {
+        return Ok(Vec::new());
+    };
     let camera_from_table = table_from_camera.inverse();
     let scene = moment.scene();
     let on_table = scene.prints.iter().map(|print| (print, Isometry3::identity()));

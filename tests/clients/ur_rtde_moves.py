@@ -10,6 +10,8 @@ import rtde_receive
 from harness import LONG, address, check, finish, forward, kinematics, near, power_on, same_pose, wait_until
 
 REACHED = 1e-4
+# The same of the tool: six joints that are off by as much, m and rad.
+POSE = (3e-4, 6e-4)
 
 host = address()
 dashboard = dashboard_client.DashboardClient(host)
@@ -46,12 +48,12 @@ pose = receive.getActualTCPPose()
 
 check("moveJ_IK", control.moveJ_IK(shifted(pose, 0.05, 0.04, 0.03), 1.05, 1.4))
 settled()
-same_pose("moveJ_IK ends at its pose", receive.getActualTCPPose(), shifted(pose, 0.05, 0.04, 0.03), 1e-5, 1e-5)
+same_pose("moveJ_IK ends at its pose", receive.getActualTCPPose(), shifted(pose, 0.05, 0.04, 0.03), *POSE)
 
 # Tool moves.
 check("moveL", control.moveL(shifted(pose, -0.05, 0.02, 0.0), 0.25, 1.2))
 settled()
-same_pose("moveL ends at its pose", receive.getActualTCPPose(), shifted(pose, -0.05, 0.02, 0.0), 1e-5, 1e-5)
+same_pose("moveL ends at its pose", receive.getActualTCPPose(), shifted(pose, -0.05, 0.02, 0.0), *POSE)
 check("moveL_FK", control.moveL_FK(HOME, 0.25, 1.2))
 near("moveL_FK ends at its joint positions", settled(), HOME, REACHED)
 
@@ -65,7 +67,7 @@ control.stopL(5.0)
 wait_until("stopL ends in standstill", lambda: max(map(abs, receive.getActualQd())) < 1e-6)
 stopped = receive.getActualTCPPose()
 check("stopL stopped it half way", pose[2] + 0.03 < stopped[2] < pose[2] + 0.14, stopped)
-near("stopL kept the line", stopped[:2], pose[:2], 1e-4)
+near("stopL kept the line", stopped[:2], pose[:2], POSE[0])
 check("no operation runs", not control.getAsyncOperationProgressEx().isAsyncOperationRunning())
 check("the operation counts as changed", control.getAsyncOperationProgressEx().changeCount() != before.changeCount() or control.getAsyncOperationProgressEx().value() != before.value())
 check("moveJ asynchronous", control.moveJ(OVER, 0.5, 1.4, True))
@@ -100,7 +102,7 @@ def sample():
 
 wait_until("the path ends", sample)
 settled()
-same_pose("the tool path ends at its last pose", receive.getActualTCPPose(), pose, 1e-5, 1e-5)
+same_pose("the tool path ends at its last pose", receive.getActualTCPPose(), pose, *POSE)
 corner = [pose[0] + 0.1, pose[1] + 0.1]
 closest = min(math.dist(seen[:2], corner) for seen, _ in samples)
 check("blends cut the corner, and by no more than the radius", 1e-3 < closest < 0.02, closest)
@@ -116,7 +118,7 @@ path.addEntry(Entry(Entry.MoveP, Entry.PositionTcpPose, shifted(pose, 0.05, 0.05
 # (The client itself refuses circles in a path: "MoveC in path not supported yet".)
 check("movePath with joints, poses, lines and process moves", control.movePath(path, False))
 settled()
-same_pose("movePath ends at its last pose", receive.getActualTCPPose(), shifted(pose, 0.05, 0.05), 1e-5, 1e-5)
+same_pose("movePath ends at its last pose", receive.getActualTCPPose(), shifted(pose, 0.05, 0.05), *POSE)
 
 # Servoing at the controller's rate for ten seconds: a slow sine, followed within its lag.
 check("back to the start", control.moveJ(HOME, 1.05, 1.4))
@@ -150,7 +152,7 @@ for k in range(500):
     control.servoL(shifted(pose, 0.0, 0.0, 0.02 * min(k, 300) / 300), 0.0, 0.0, CYCLE, 0.05, 500)
     control.waitPeriod(start)
 settled()
-same_pose("servoL follows poses", receive.getActualTCPPose(), shifted(pose, 0.0, 0.0, 0.02), 1e-4, 1e-4)
+same_pose("servoL follows poses", receive.getActualTCPPose(), shifted(pose, 0.0, 0.0, 0.02), *POSE)
 control.servoStop()
 check("servoC", control.servoC(shifted(pose, 0.0, 0.03, 0.02), 0.25, 1.2, 0.0))
 wait_until("servoC reaches its pose", lambda: math.dist(receive.getActualTCPPose()[:3], shifted(pose, 0.0, 0.03, 0.02)[:3]) < 1e-3)

@@ -22,6 +22,7 @@ pub mod plan_check;
 pub mod planner;
 pub mod quickest;
 mod snapshot;
+pub mod stillness;
 pub mod supervisor;
 pub mod times;
 pub mod views;

@@ -9,6 +9,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Joints(pub [f64; 6]);
 
+/// The joints' names, as the controller's messages have them.
+pub const JOINT_NAMES: [&str; 6] = ["base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3"];
+
 impl Joints {
     /// Largest absolute difference over the six joints, rad.
     #[inline]

@@ -326,6 +326,7 @@ fn controller_config(file: &SimFile) -> ControllerConfig {
         control: file.control,
         safety: file.safety.clone(),
         blends: BlendConfig { entry_speed: file.entry_speed, seed: file.seed },
+        rest: file.rest,
         programs: file.programs.clone(),
         dh: calibrated(&file.model.dh, file.seed, file.errors.dh_m, file.errors.dh_rad),
         ..ControllerConfig::of(&file.model, file.seed)

@@ -10,12 +10,14 @@ pub mod gripper;
 pub mod load;
 pub mod programs;
 pub mod read;
+pub mod rest;
 pub mod safety;
 pub mod software;
 
 use crate::config::conveyors::ConveyorConfig;
 use crate::controller::modes::Control;
 use crate::controller::program_files::ProgramFiles;
+use crate::motion::rest::RestConfig;
 use crate::motion::rounding::EntrySpeed;
 use crate::motion::safety::SafetyLimits;
 use crate::world::drive::Drive;
@@ -73,6 +75,8 @@ pub struct SimFile {
     pub safety: SafetyLimits,
     /// At which speed the arm passes blends.
     pub entry_speed: EntrySpeed,
+    /// How its joints come to rest.
+    pub rest: RestConfig,
     /// Joint pose at power-on.
     pub start_pose: Joints,
     /// Folder with the scripts that the dashboard loads, relative to the file's own; absent: none.

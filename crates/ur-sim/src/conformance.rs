@@ -38,6 +38,12 @@ const MOTION: &[Claim] = &[
         "a_blend_is_passed_at_the_speed_of_its_reading",
     ),
     Claim(
+        "Coming to rest",
+        Grade::Modelled,
+        "the joints creep the last 0.1 mrad, and tremble, for as long as in recordings of a UR10e; in which joints is chosen",
+        "the_joints_are_quiet_as_late_as_in_the_recordings",
+    ),
+    Claim(
         "Overlapping blends",
         Grade::Modelled,
         "of movej and movel: the second of two moves is skipped; the words are assumed",

@@ -9,8 +9,12 @@ use cell_edge::clock::Clock;
 use cell_machine::device::dashboard_session::{DashboardEvent, DashboardSession};
 use cell_machine::device::primary_session::{PrimaryEvent, PrimarySession};
 use cell_machine::device::robot_types::Link;
+use cell_machine::device::robot_types::RobotState;
 use cell_machine::device::rtde_session::{NO_MARK, RtdeEvent, RtdeSession};
+use cell_machine::stillness::Sway;
 use cell_values::time::{Duration, Timestamp};
+use cell_values::units::Joints;
+use std::collections::VecDeque;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream, ToSocketAddrs};
 use ur_arm::kinematics::DhParameters;
@@ -198,7 +202,7 @@ fn primary(host: &str, clock: &Clock) -> Result<PrimaryFacts, LinkFault> {
 fn rtde(host: &str, clock: &Clock) -> Result<RtdeFacts, LinkFault> {
     let mut line = Line::connect(host, Link::Rtde, clock, RtdeSession::new(RTDE_HZ, NO_MARK))?;
     let (mut facts, mut buffer) = (RtdeFacts::default(), [0; 64 * 1024]);
-    let mut watch = ArrivalStats::default();
+    let (mut watch, mut rest) = (ArrivalStats::default(), RestStats::default());
     while watch.since.is_none_or(|since| clock.now().since(since) < WATCHED) {
         line.turn(&mut buffer)?;
         while let Some(event) = line.session.poll_event() {
@@ -220,6 +224,7 @@ fn rtde(host: &str, clock: &Clock) -> Result<RtdeFacts, LinkFault> {
         }
         if let Some(state) = line.session.latest() {
             watch.saw(clock.now(), state.controller_time_s);
+            rest.saw(state);
             facts.state = Some(state.clone());
         }
         if watch.since.is_none() && line.overdue() {
@@ -227,7 +232,36 @@ fn rtde(host: &str, clock: &Clock) -> Result<RtdeFacts, LinkFault> {
         }
     }
     (facts.packages, facts.lost, facts.longest_gap) = (watch.packages, watch.lost(), watch.longest_gap);
+    facts.sway = rest.largest;
     Ok(facts)
+}
+
+/// As long as the arm rests before a picture of a calibration round, the longest of all.
+const WATCHED_REST: Duration = Duration::from_millis(500);
+
+/// How well the joints rest.
+#[derive(Default)]
+struct RestStats {
+    /// Positions of the last moments, with the controller's time, s.
+    last: VecDeque<(f64, Joints)>,
+    largest: Sway,
+}
+
+impl RestStats {
+    fn saw(&mut self, state: &RobotState) {
+        let now_s = state.controller_time_s;
+        if self.last.back().is_some_and(|(last_s, _)| *last_s == now_s) {
+            return;
+        }
+        self.last.push_back((now_s, state.q));
+        while self.last.front().is_some_and(|(at_s, _)| now_s - at_s > WATCHED_REST.as_secs_f64()) {
+            self.last.pop_front();
+        }
+        let sway = Sway::among(self.last.iter().map(|(_, q)| q));
+        if sway.by_rad > self.largest.by_rad {
+            self.largest = sway;
+        }
+    }
 }
 
 /// How steadily states come.

@@ -6,6 +6,7 @@
 //! without power a controller may show positions from before, and the true ones come with the power.
 
 use crate::device::robot_types::RobotState;
+use cell_values::units::JOINT_NAMES;
 use std::f64::consts::PI;
 use ur_wire::enumerations::RobotMode;
 
@@ -16,9 +17,6 @@ const FASTEST_RAD_S: f64 = 1.25 * PI;
 const MARGIN_RAD: f64 = 0.02;
 /// Without a state for longer nothing of ours moves: the program's watchdog has stopped the arm.
 const LONGEST_STEP_S: f64 = 0.5;
-
-/// As the argument of the controller's error messages counts them.
-const JOINTS: [&str; 6] = ["base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3"];
 
 /// A joint that is where it cannot have turned to.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,7 +42,7 @@ impl Jump {
 
 impl std::fmt::Display for Jump {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let joint = JOINTS.get(self.joint).copied().unwrap_or("a joint");
+        let joint = JOINT_NAMES.get(self.joint).copied().unwrap_or("a joint");
         write!(f, "{joint} by {:.1} degrees in {:.0} ms", self.by_rad.to_degrees(), self.within_s * 1e3)
     }
 }

@@ -141,6 +141,12 @@ impl Supervisor {
                 if bring_up.program_requested
                     && self.nonce.is_some_and(|nonce| robot.nonce == nonce.number()) =>
             {
+                // An arm that shakes too much for a picture is reported here. A way back takes none.
+                let rested = bring_up.rest.note(robot.received, &robot.q);
+                if rested < self.model.tolerances.settle && self.back.recovery.is_none() {
+                    let report = bring_up.rest.report(robot.received);
+                    return report.into_iter().for_each(|why| say(out, why));
+                }
                 self.phase = self.after_bring_up();
                 let tcp = ur_pose_from_isometry(&self.model.arm.flange_from_tool);
                 out.push(Action::Robot(RobotCommand::SetTcp(tcp)));

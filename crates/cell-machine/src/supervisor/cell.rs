@@ -400,7 +400,7 @@ impl Supervisor {
             RobotEvent::SegmentFinished { .. } => self.times.segment_over(),
             RobotEvent::PathFinished { .. } => match &mut self.phase {
                 Phase::Look(_) => self.look_pose_reached(now, out),
-                Phase::Visit(visit) => *visit = Visit::Settling { still_since: None },
+                Phase::Visit(visit) => *visit = Visit::Settling { rest: Default::default() },
                 Phase::Work(_) => self.work_path_finished(now, out),
                 Phase::Recover(stage) => {
                     let stage = *stage;

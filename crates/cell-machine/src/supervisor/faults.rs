@@ -12,7 +12,7 @@ use crate::supervisor::gates::motion_speed;
 use crate::supervisor::input::{Action, CameraFault, DeviceSnapshot};
 use crate::supervisor::ledger::{Disk, SILENT_AFTER};
 use crate::supervisor::mode::{EndFault, Mode};
-use crate::supervisor::phase::{LookStage, Phase, Work, WorkStage};
+use crate::supervisor::phase::{LookStage, Phase, Visit, Work, WorkStage};
 use crate::supervisor::reason::{Reason, STOP_ORDERED, alarm, say};
 use crate::supervisor::round::RoundFault;
 use cell_values::time::{Duration, Timestamp};
@@ -129,8 +129,18 @@ impl Supervisor {
         }
         let (code, message) = match &self.phase {
             Phase::Ready | Phase::Approve => return,
-            Phase::BringUp(_) => (Code::RobotNotStarted, "the robot did not come up in time".to_string()),
-            Phase::Look(_) => (Code::LookTimeout, "the look was not finished in time".to_string()),
+            Phase::BringUp(bring_up) => {
+                let late = || "the robot did not come up in time".to_string();
+                (Code::RobotNotStarted, bring_up.rest.restless(now).unwrap_or_else(late))
+            }
+            Phase::Look(look) => {
+                let restless = match &look.stage {
+                    LookStage::Settling { rest } => rest.restless(now),
+                    LookStage::Moving | LookStage::Capturing { .. } | LookStage::Observing => None,
+                };
+                let late = || "the look was not finished in time".to_string();
+                (Code::LookTimeout, restless.unwrap_or_else(late))
+            }
             Phase::Plan => (Code::PlannerStuck, "the planner did not answer within its budget".to_string()),
             Phase::Work(work) => {
                 (Code::WorkTimeout, format!("{} {} took too long", work.stage.step().as_str(), work.object))
@@ -139,8 +149,13 @@ impl Supervisor {
             Phase::Recover(stage) => {
                 (Code::WorkTimeout, format!("the way back took too long: {}", stage.words()))
             }
-            Phase::Visit(_) => {
-                (Code::WorkTimeout, "the calibration pose was not reached in time".to_string())
+            Phase::Visit(visit) => {
+                let restless = match visit {
+                    Visit::Settling { rest } => rest.restless(now),
+                    Visit::Moving | Visit::Picturing => None,
+                };
+                let late = || "the calibration pose was not reached in time".to_string();
+                (Code::WorkTimeout, restless.unwrap_or_else(late))
             }
         };
         self.stop_what_has_begun(now, JobStatus::Failed, code.because(message, ""), out);

@@ -6,6 +6,7 @@
 
 use crate::code::{Code, JobStatus};
 use crate::device::robot_types::RobotCommand;
+use crate::stillness::{STILL_RAD, Stillness};
 use crate::supervisor::cell::Supervisor;
 use crate::supervisor::gates;
 use crate::supervisor::input::{Action, CameraFault, DeviceSnapshot};
@@ -18,12 +19,6 @@ use cell_values::time::Timestamp;
 use cell_values::units::Joints;
 use cell_vision::observe::{Observation, PartialLook, View};
 use std::collections::VecDeque;
-
-/// The arm counts as still below this joint speed, rad/s: 0.5 mm/s at the tool.
-const STILL_RAD_S: f64 = 5e-4;
-
-/// And as not having moved during a frame below this joint difference, rad.
-const SAME_PLACE_RAD: f64 = 2e-4;
 
 impl Look {
     /// On the way to the first pose of a plan.
@@ -150,21 +145,17 @@ impl Supervisor {
             return self.take_observed(now, shown, out);
         }
         if matches!(look.stage, LookStage::Moving) {
-            look.stage = LookStage::Settling { still_since: None };
+            look.stage = LookStage::Settling { rest: Stillness::default() };
         }
     }
 
     /// While settling: requests frames once the arm has been at rest long enough.
     pub(crate) fn watch_settling(&mut self, now: Timestamp, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
         let Phase::Look(look) = &mut self.phase else { return };
-        let LookStage::Settling { still_since } = &mut look.stage else { return };
+        let LookStage::Settling { rest } = &mut look.stage else { return };
         let Some(robot) = devices.robot.filter(|_| devices.robot_fresh) else { return };
-        if robot.qd.iter().any(|speed| speed.abs() > STILL_RAD_S) {
-            *still_since = None;
-            return;
-        }
-        let since = *still_since.get_or_insert(now);
-        if now.since(since) < self.model.tolerances.settle {
+        if rest.note(robot.received, &robot.q) < self.model.tolerances.settle {
+            rest.report(now).into_iter().for_each(|why| say(out, why));
             return;
         }
         let table_from_camera = self.model.camera_at(&robot.q);
@@ -181,11 +172,11 @@ impl Supervisor {
         self.camera = Some(Ok(()));
         let Phase::Look(look) = &mut self.phase else { return };
         let LookStage::Capturing { q } = &look.stage else { return };
-        let moved = devices.robot.is_none_or(|robot| robot.q.max_difference(q) > SAME_PLACE_RAD);
+        let moved = devices.robot.is_none_or(|robot| robot.q.max_difference(q) > STILL_RAD);
         look.awaited.push_back(!moved);
         if moved {
             say(out, "the arm moved while a frame was taken; taking it again");
-            look.stage = LookStage::Settling { still_since: None };
+            look.stage = LookStage::Settling { rest: Stillness::default() };
             return;
         }
         if look.fault.take().is_some() {
@@ -281,7 +272,7 @@ impl Supervisor {
         if fault.lasting {
             return self.give_up_looking(now, &fault, out);
         }
-        look.stage = LookStage::Settling { still_since: None };
+        look.stage = LookStage::Settling { rest: Stillness::default() };
         if look.fault.as_ref().is_none_or(|before| before.code != fault.code) {
             alarm(
                 out,

@@ -3,6 +3,7 @@
 //! Plain data; the transitions are in the modules named after the phases.
 
 use crate::device::gripper_types::Channels;
+use crate::stillness::Stillness;
 use crate::supervisor::back::{BackStage, Held};
 use crate::supervisor::input::CameraFault;
 use crate::supervisor::look_plan::LookPlan;
@@ -47,6 +48,8 @@ pub(crate) enum Phase {
 pub(crate) struct BringUp {
     pub requested: Option<RobotMode>,
     pub program_requested: bool,
+    /// How noisy the joints are at rest.
+    pub rest: Stillness,
 }
 
 /// A look at the table.
@@ -95,8 +98,8 @@ pub(crate) struct Ahead {
 pub(crate) enum LookStage {
     /// On the way to a look pose.
     Moving,
-    /// Arrived; still since.
-    Settling { still_since: Option<Timestamp> },
+    /// Arrived; it comes to rest.
+    Settling { rest: Stillness },
     /// Frames are being taken with the arm at these joints.
     Capturing { q: Joints },
     /// All pictures are taken; what they show is being worked out.
@@ -108,8 +111,8 @@ pub(crate) enum LookStage {
 pub(crate) enum Visit {
     /// On the way.
     Moving,
-    /// Arrived; still since.
-    Settling { still_since: Option<Timestamp> },
+    /// Arrived; it comes to rest.
+    Settling { rest: Stillness },
     /// The picture is being taken.
     Picturing,
 }

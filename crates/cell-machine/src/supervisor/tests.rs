@@ -246,6 +246,9 @@ impl Bench {
 
     fn feed_once(&mut self, input: Input) -> Vec<Action> {
         self.now += Duration::from_millis(20);
+        if !self.silent {
+            self.robot.received = self.now;
+        }
         let robot = self.robot.clone();
         let devices = self.devices(&robot);
         let actions = self.cell.step(self.now, &devices, input);
@@ -357,15 +360,6 @@ fn ended(actions: &[Action]) -> Option<(JobStatus, String)> {
         Action::Commit { record: Record::Ended(report), .. } => Some((report.end, report.code_text())),
         _ => None,
     })
-}
-
-#[test]
-fn a_disarmed_cell_takes_jobs_and_moves_nothing() {
-    let mut bench = Bench::new();
-    let mut all = bench.job(false);
-    all.extend(bench.ticks(10_000));
-    assert!(!all.iter().any(|action| matches!(action, Action::Robot(_) | Action::Gripper(_))), "{all:?}");
-    assert_eq!(ended(&all), None, "waiting for a person is no failure");
 }
 
 /// At a found plan, with a disk that does not answer; the number of the intent.
@@ -594,6 +588,7 @@ mod lapse;
 mod moving;
 mod preview;
 mod reach;
+mod rest;
 mod rounds;
 pub(crate) mod set_out;
 mod sight;

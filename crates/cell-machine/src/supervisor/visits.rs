@@ -14,13 +14,13 @@ use crate::supervisor::gates;
 use crate::supervisor::input::{Action, CameraFault, DeviceSnapshot};
 use crate::supervisor::mode::Mode;
 use crate::supervisor::phase::{Phase, Visit};
+use crate::supervisor::reason::say;
 use crate::supervisor::round::{Round, RoundFault, RoundOrder};
 use cell_motion::slow::slow_move;
 use cell_values::time::{Duration, Timestamp};
 use ur_arm::kinematics::forward;
 
-/// The arm counts as still below this joint speed, rad/s, for this long.
-const STILL_RAD_S: f64 = 5e-4;
+/// The arm is at rest for this long before a picture.
 const SETTLE: Duration = Duration::from_millis(500);
 
 /// For one pose, at full speed.
@@ -127,14 +127,12 @@ impl Supervisor {
 
     /// While settling: requests the picture once the arm has been at rest long enough.
     pub(crate) fn watch_visit(&mut self, now: Timestamp, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
-        let Phase::Visit(Visit::Settling { still_since }) = &mut self.phase else { return };
+        let Phase::Visit(Visit::Settling { rest }) = &mut self.phase else { return };
         let Some(robot) = devices.robot.filter(|_| devices.robot_fresh) else { return };
-        if robot.qd.iter().any(|speed| speed.abs() > STILL_RAD_S) {
-            *still_since = None;
-            return;
-        }
-        let since = *still_since.get_or_insert(now);
-        if now.since(since) >= SETTLE {
+        let rested = rest.note(robot.received, &robot.q);
+        if rested < SETTLE {
+            rest.report(now).into_iter().for_each(|why| say(out, why));
+        } else {
             let pose = self.round.as_ref().map_or(0, |round| round.at + 1);
             let base_from_flange = forward(&self.model.arm.dh, &robot.q);
             out.push(Action::Picture { pose, base_from_flange });

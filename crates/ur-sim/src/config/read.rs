@@ -7,12 +7,14 @@ use crate::config::blend::entry_speed;
 use crate::config::conveyors::conveyors;
 use crate::config::gripper::gripper;
 use crate::config::programs::programs;
+use crate::config::rest::rest;
 use crate::config::safety::safety;
 use crate::config::software::controller;
 use crate::config::{SimErrors, SimFile, SimHandBoard, SimMount, SimPorts};
 use crate::controller::config::SOFTWARE;
 use crate::controller::modes::Control;
 use crate::controller::program_files::ProgramFiles;
+use crate::motion::rest::RestConfig;
 use crate::motion::rounding::EntrySpeed;
 use crate::motion::safety::SafetyLimits;
 use crate::robot_server::{ROBOT_API_PORT, ROBOTIQ_PORT};
@@ -53,6 +55,7 @@ pub const SIM_KEYS: &[&str] = &[
     "control_mode",
     "safety",
     "blend",
+    "rest",
     "programs",
     "errors",
 ];
@@ -91,9 +94,7 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
     let bind = fields.required("bind", decoder).and_then(|at| address(decoder, &at));
     let ports = fields.required("ports", decoder).and_then(|at| ports(decoder, &at));
     let seed = optional(decoder, fields, "seed", 0, |decoder, at| decoder.integer(at, 0..=i64::MAX));
-    let time_factor = optional(decoder, fields, "time_factor", 1.0, |decoder, at| {
-        decoder.number_in(at, 0.01..=1000.0, "times real time")
-    });
+    let time_factor = optional(decoder, fields, "time_factor", 1.0, time_factor);
     let size = fields.required("workspace", decoder).and_then(|at| workspace(decoder, &at));
     let objects = fields.required("objects", decoder).and_then(|at| objects(decoder, &at, size, places));
     let markers =
@@ -114,6 +115,7 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
     let conveyors = optional(decoder, fields, "conveyors", Vec::new(), conveyors);
     let safety = optional(decoder, fields, "safety", SafetyLimits::default(), safety);
     let entry_speed = optional(decoder, fields, "blend", EntrySpeed::Braked, entry_speed);
+    let rest = optional(decoder, fields, "rest", RestConfig::recorded(), rest);
     let programs = optional(decoder, fields, "programs", (None, ProgramFiles::default()), programs);
     let errors = optional(decoder, fields, "errors", DEFAULT_ERRORS, errors);
     let (size, (program_folder, programs), (gripper, drive)) = (size?, programs?, gripper?);
@@ -140,10 +142,15 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
         control: control?,
         safety: safety?,
         entry_speed: entry_speed?,
+        rest: rest?,
         program_folder,
         programs,
         errors: errors?,
     })
+}
+
+fn time_factor(decoder: &mut Decoder, at: &At) -> Option<f64> {
+    decoder.number_in(at, 0.01..=1000.0, "times real time")
 }
 
 fn control(decoder: &mut Decoder, at: &At) -> Option<Control> {

@@ -6,6 +6,7 @@
 use crate::controller::modes::Control;
 use crate::controller::program_files::ProgramFiles;
 use crate::motion::belt::TableBelt;
+use crate::motion::rest::RestConfig;
 use crate::motion::rounding::BlendConfig;
 use crate::motion::safety::SafetyLimits;
 use cell_values::units::Joints;
@@ -48,6 +49,8 @@ pub struct ControllerConfig {
     pub safety: SafetyLimits,
     /// At which speed and where it passes blends.
     pub blends: BlendConfig,
+    /// How the joints come to rest.
+    pub rest: RestConfig,
     /// Tool centre point of the installation, in the flange frame.
     pub tcp: [f64; 6],
     /// Payload of the installation, kg.
@@ -81,6 +84,7 @@ impl ControllerConfig {
             control: Control::Remote,
             safety: SafetyLimits::default(),
             blends: BlendConfig::default(),
+            rest: RestConfig::default(),
             tcp: [0.0; 6],
             payload: 0.0,
             encoders: [0.0; 2],

@@ -17,9 +17,12 @@ use crate::controller::sockets::{NoNetwork, ScriptSockets};
 use crate::controller::value_requests::ValueRequests;
 use crate::controller::watchdog::Watchdog;
 use crate::motion::mover::{MoveId, Mover};
+use crate::motion::rest::Rest;
 use crate::motion::{Arm, FRAME_SECONDS};
+use cell_values::units::Joints;
 use nalgebra::Isometry3;
 use std::collections::VecDeque;
+use ur_arm::kinematics::forward;
 use ur_arm::pose::{isometry_from_ur_pose, ur_pose_from_isometry};
 use ur_wire::primary_message::MessageBody;
 use urscript::value::ThreadId;
@@ -58,8 +61,12 @@ pub struct Core {
     pub modes: Modes,
     /// Registers, inputs and outputs.
     pub registers: Registers,
-    /// The arm.
+    /// The arm as it is commanded.
     pub mover: Mover,
+    /// How far it is from that, and what is measured of it.
+    rest: Rest,
+    /// `base_from_flange` as it really is.
+    flange: Isometry3<f64>,
     /// Tool and gravity.
     pub payload: Payload,
     /// Tool centre point as set, m and rad.
@@ -109,7 +116,9 @@ impl Core {
         let mut core = Core {
             modes: Modes::new(config.running, config.control),
             registers: Registers::default(),
+            rest: Rest::new(config.rest, config.seed),
             mover: Mover::new(arm, config.start),
+            flange: Isometry3::identity(),
             payload: Payload {
                 mass: config.payload,
                 centre: [0.0; 3],
@@ -166,7 +175,26 @@ impl Core {
 
     /// `base_from_flange` as it really is.
     pub fn base_from_flange(&self) -> Isometry3<f64> {
-        self.mover.flange()
+        self.flange
+    }
+
+    /// Joint positions as they are measured, rad.
+    pub fn actual_q(&self) -> Joints {
+        Joints(plus(self.mover.q().0, self.rest.measured()))
+    }
+
+    /// Joint speeds as they are measured, rad/s.
+    pub fn actual_qd(&self) -> [f64; 6] {
+        plus(self.mover.qd(), self.rest.measured_speed())
+    }
+
+    /// What a frame leaves of the last motion.
+    pub(super) fn come_to_rest(&mut self) {
+        if self.modes.brakes_open() {
+            self.rest.step(&self.mover.qd());
+        } else {
+            self.rest.brake();
+        }
     }
 
     /// Pose the active move leads to; the present one when the arm is in none.
@@ -205,6 +233,15 @@ impl Core {
     }
 
     pub(super) fn refresh(&mut self) {
-        self.tcp_pose = ur_pose_from_isometry(&self.mover.tcp());
+        let offset = self.rest.offset();
+        self.flange = match offset == [0.0; 6] {
+            true => self.mover.flange(),
+            false => forward(&self.mover.arm.dh, &Joints(plus(self.mover.q().0, offset))),
+        };
+        self.tcp_pose = ur_pose_from_isometry(&(self.flange * self.mover.arm.flange_from_tcp));
     }
+}
+
+fn plus(one: [f64; 6], other: [f64; 6]) -> [f64; 6] {
+    std::array::from_fn(|joint| one[joint] + other[joint])
 }

@@ -278,13 +278,14 @@ fn set_payload(core: &mut Core, call: &Call<'_>) -> Result<(), String> {
 fn state(core: &Core, call: &Call<'_>) -> Option<Result<Value, String>> {
     let mover = &core.mover;
     Some(Ok(match call.name {
-        "get_actual_joint_positions" | "get_target_joint_positions" | "get_joint_positions" => {
-            list(mover.q().0)
-        }
-        "get_actual_joint_speeds" | "get_target_joint_speeds" => list(mover.qd()),
+        "get_actual_joint_positions" | "get_joint_positions" => list(core.actual_q().0),
+        "get_target_joint_positions" => list(mover.q().0),
+        "get_actual_joint_speeds" => list(core.actual_qd()),
+        "get_target_joint_speeds" => list(mover.qd()),
         "get_target_joint_accelerations" => list(mover.qdd()),
         "get_target_tcp_pose_along_path" => Value::Pose(ur_pose_from_isometry(&mover.path_tcp())),
-        "get_actual_tcp_pose" | "get_target_tcp_pose" => Value::Pose(core.tcp_pose()),
+        "get_actual_tcp_pose" => Value::Pose(core.tcp_pose()),
+        "get_target_tcp_pose" => Value::Pose(ur_pose_from_isometry(&mover.tcp())),
         "get_target_tcp_speed_along_path" => Value::numbers(mover.path_speed().iter().copied()),
         "get_actual_tcp_speed" | "get_target_tcp_speed" => Value::numbers(mover.tcp_speed().iter().copied()),
         "get_actual_tool_flange_pose" => Value::Pose(ur_pose_from_isometry(&core.base_from_flange())),

@@ -138,6 +138,7 @@ impl Controller {
         } else if let Err(fault) = self.move_arm() {
             self.protective_stop(&fault.to_string());
         }
+        self.core.come_to_rest();
         self.core.refresh();
         self.hold_to_safety();
         self.hold_to_limits();

@@ -8,6 +8,7 @@ use crate::controller::Controller;
 use crate::controller::drives;
 use crate::controller::registers::bits_word;
 use ur_arm::kinematics::link_frames;
+use ur_arm::pose::ur_pose_from_isometry;
 use ur_wire::rtde_values::Value;
 use ur_wire::rtde_variables::{self, Register};
 
@@ -30,9 +31,9 @@ const COMPUTED: &[(&str, Compute)] = &[
     ("timestamp", |c| Value::Double(c.core.timestamp())),
     ("control_step", |c| Value::Uint64(c.core.step)),
     ("target_q", |c| Value::Vector6D(c.core.mover.q().0)),
-    ("actual_q", |c| Value::Vector6D(c.core.mover.q().0)),
+    ("actual_q", |c| Value::Vector6D(c.core.actual_q().0)),
     ("target_qd", |c| Value::Vector6D(c.core.mover.qd())),
-    ("actual_qd", |c| Value::Vector6D(c.core.mover.qd())),
+    ("actual_qd", |c| Value::Vector6D(c.core.actual_qd())),
     ("target_qdd", |c| Value::Vector6D(c.core.mover.qdd())),
     ("target_moment", |c| Value::Vector6D(c.core.target_moments())),
     ("target_current", |c| Value::Vector6D(drives::target_currents(c))),
@@ -44,7 +45,7 @@ const COMPUTED: &[(&str, Compute)] = &[
     ("actual_TCP_acceleration", |c| Value::Vector6D(c.core.tcp_acceleration())),
     ("target_TCP_acceleration", |c| Value::Vector6D(c.core.tcp_acceleration())),
     ("actual_TCP_pose", |c| Value::Vector6D(c.core.tcp_pose())),
-    ("target_TCP_pose", |c| Value::Vector6D(c.core.tcp_pose())),
+    ("target_TCP_pose", |c| Value::Vector6D(ur_pose_from_isometry(&c.core.mover.tcp()))),
     ("actual_TCP_speed", |c| Value::Vector6D(c.core.mover.tcp_speed().into())),
     ("target_TCP_speed", |c| Value::Vector6D(c.core.mover.tcp_speed().into())),
     ("actual_TCP_force", |c| Value::Vector6D(c.core.tcp_force())),

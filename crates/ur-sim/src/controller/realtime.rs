@@ -7,6 +7,7 @@
 use crate::controller::Controller;
 use crate::controller::drives::{actual_currents, target_currents};
 use crate::controller::outputs::{elbow, elbow_velocity, joint_mode, speed_scaling};
+use ur_arm::pose::ur_pose_from_isometry;
 use ur_wire::bytes::Writer;
 
 /// Bytes of the block, the length field included.
@@ -24,10 +25,10 @@ pub fn block(controller: &Controller) -> Vec<u8> {
     out.i32(LENGTH as i32).f64(core.timestamp());
     // Targets: q, qd, qdd, current, moment. Actuals: q, qd, current; control current.
     out.f64s(&q).f64s(&qd).f64s(&qdd).f64s(&target_currents(controller)).f64s(&core.target_moments());
-    out.f64s(&q).f64s(&qd).f64s(&currents).f64s(&currents);
+    out.f64s(&core.actual_q().0).f64s(&core.actual_qd()).f64s(&currents).f64s(&currents);
     // Actual TCP pose, speed and force; target TCP pose and speed.
     out.f64s(&core.tcp_pose()).f64s(&tcp_speed).f64s(&core.tcp_force());
-    out.f64s(&core.tcp_pose()).f64s(&tcp_speed);
+    out.f64s(&ur_pose_from_isometry(&core.mover.tcp())).f64s(&tcp_speed);
     out.f64(core.registers.digital_inputs as f64).f64s(&[35.0; 6]);
     // Controller timer, test value, modes.
     out.f64s(&[0.0, 0.0])

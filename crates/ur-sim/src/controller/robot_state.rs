@@ -167,12 +167,13 @@ pub fn control_mode(controller: &Controller) -> u8 {
 }
 
 fn joints(controller: &Controller) -> [JointData; 6] {
-    let (q, qd) = (controller.core.mover.q(), controller.core.mover.qd());
+    let (q, qd) = (controller.core.actual_q(), controller.core.actual_qd());
+    let target = controller.core.mover.q();
     let mode = joint_mode(controller) as u8;
     let currents = actual_currents(controller);
     std::array::from_fn(|joint| JointData {
         q_actual: q.0[joint],
-        q_target: q.0[joint],
+        q_target: target.0[joint],
         qd_actual: qd[joint],
         current: currents[joint] as f32,
         voltage: 48.0,

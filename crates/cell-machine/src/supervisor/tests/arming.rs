@@ -36,6 +36,15 @@ const MISSING: &[Missing] = &[
 ];
 
 #[test]
+fn a_disarmed_cell_takes_jobs_and_moves_nothing() {
+    let mut bench = Bench::new();
+    let mut all = bench.job(false);
+    all.extend(bench.ticks(10_000));
+    assert!(!all.iter().any(|action| matches!(action, Action::Robot(_) | Action::Gripper(_))), "{all:?}");
+    assert_eq!(ended(&all), None, "waiting for a person is no failure");
+}
+
+#[test]
 fn arming_names_what_is_missing_and_is_not_made_up_for_later() {
     for (word, remove) in MISSING {
         let mut bench = Bench::new();

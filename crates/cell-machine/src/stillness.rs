@@ -1,0 +1,232 @@
+//! Whether the arm rests, for a picture: by where its joints were in the last moments.
+//!
+//! In: joint positions of the states of a robot, in order. Out: how long every joint has stayed within
+//! [`STILL_RAD`], and the joint that last moved more. Pure.
+//!
+//! Measured speeds do not say so. In recordings of a UR10e they have peaks of 1 to 2 mrad/s for up to a
+//! second after a move; those of older controllers are as noisy all the time (2.8 mrad/s,
+//! ur_modern_driver#271). By positions an arm without a load rests at once. One with 2.6 kg swung by 0.6
+//! mrad for a quarter of a second: at a turning point of such a swing the joints seem to rest for some 50
+//! ms.
+
+use cell_values::time::{Duration, Timestamp};
+use cell_values::units::{JOINT_NAMES, Joints};
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+
+/// How far a joint may move while a picture is taken, rad: one joint turned by this moves a camera at 0.85 m
+/// by 0.17 mm. It is also how noisy the positions at rest may be.
+pub const STILL_RAD: f64 = 2e-4;
+
+/// Shortest rest before a picture, whatever the configuration says: of a real arm, which may swing, and of a
+/// simulated one, which creeps only.
+pub const LEAST_REST: Duration = Duration::from_millis(150);
+pub const SIMULATED_LEAST_REST: Duration = Duration::from_millis(48);
+
+/// States are kept so long after one another; all are compared.
+const KEPT_EVERY: Duration = Duration::from_millis(6);
+
+/// Between states farther apart the joints may have been anywhere.
+const LONGEST_GAP: Duration = Duration::from_millis(100);
+
+/// An arm that has not come to rest after this long is reported.
+const REPORTED_AFTER: Duration = Duration::from_secs(2);
+
+/// A motion longer ago does not keep an arm from resting.
+const LATELY: Duration = Duration::from_secs(1);
+
+/// A joint and its peak-to-peak motion.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
+pub struct Sway {
+    /// From 0, base to wrist 3.
+    pub joint: usize,
+    /// rad
+    pub by_rad: f64,
+}
+
+impl Sway {
+    /// The largest among some positions.
+    pub fn among<'a>(positions: impl Iterator<Item = &'a Joints>) -> Sway {
+        let (mut low, mut high) = ([f64::INFINITY; 6], [f64::NEG_INFINITY; 6]);
+        for Joints(q) in positions {
+            low = std::array::from_fn(|joint| low[joint].min(q[joint]));
+            high = std::array::from_fn(|joint| high[joint].max(q[joint]));
+        }
+        let sways = (0..6).map(|joint| Sway { joint, by_rad: high[joint] - low[joint] });
+        sways.fold(Sway::default(), |most, sway| if sway.by_rad > most.by_rad { sway } else { most })
+    }
+}
+
+impl std::fmt::Display for Sway {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let joint = JOINT_NAMES.get(self.joint).copied().unwrap_or("a joint");
+        let (by, most) = (self.by_rad * 1e3, STILL_RAD * 1e3);
+        write!(f, "{joint} moves by {by:.2} mrad (limit {most:.2})")
+    }
+}
+
+/// An arm that comes to rest.
+#[derive(Clone, Debug, Default, Deserialize, Serialize)]
+pub struct Stillness {
+    /// Positions within [`STILL_RAD`] of one another, oldest first.
+    within: VecDeque<(Timestamp, Joints)>,
+    /// The joint that last moved more, and when.
+    farther: Option<(Timestamp, Sway)>,
+    since: Option<Timestamp>,
+    reported: bool,
+}
+
+impl Stillness {
+    /// The state of a moment; then: how long the arm has been at rest.
+    pub fn note(&mut self, at: Timestamp, q: &Joints) -> Duration {
+        self.since.get_or_insert(at);
+        if self.within.back().is_some_and(|(last, _)| at.since(*last) > LONGEST_GAP) {
+            self.within.clear();
+        }
+        self.within.push_back((at, *q));
+        loop {
+            let sway = Sway::among(self.within.iter().map(|(_, q)| q));
+            if sway.by_rad <= STILL_RAD {
+                break;
+            }
+            self.farther = Some((at, sway));
+            self.within.pop_front();
+        }
+        if let [.., (before, _), (last, _)] = self.within.make_contiguous()
+            && last.since(*before) < KEPT_EVERY
+        {
+            self.within.pop_back();
+        }
+        self.within.front().map_or(Duration::ZERO, |(since, _)| at.since(*since))
+    }
+
+    /// That the arm does not rest, once, where that has gone on for long.
+    pub fn report(&mut self, now: Timestamp) -> Option<String> {
+        let long = self.since.is_some_and(|since| now.since(since) >= REPORTED_AFTER);
+        let why = self.restless(now).filter(|_| long && !self.reported)?;
+        self.reported = true;
+        Some(format!("{why}; the picture waits; if this goes on, check what shakes the arm"))
+    }
+
+    /// The joint that keeps the arm from resting, in words.
+    pub fn restless(&self, now: Timestamp) -> Option<String> {
+        let (at, sway) = self.farther?;
+        (now.since(at) <= LATELY).then(|| format!("the arm is not at rest: {sway}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::PathBuf;
+
+    fn ms(ms: u64) -> Timestamp {
+        Timestamp::from_secs_f64(10.0) + Duration::from_millis(ms)
+    }
+
+    /// One joint at these positions, 8 ms after one another: for how long the arm has been at rest then.
+    fn rest(stillness: &mut Stillness, from_ms: u64, positions: &[f64]) -> Duration {
+        let mut rested = Duration::ZERO;
+        for (k, position) in positions.iter().enumerate() {
+            let mut q = Joints([0.3; 6]);
+            q.0[3] += position;
+            rested = stillness.note(ms(from_ms + 8 * k as u64), &q);
+        }
+        rested
+    }
+
+    #[test]
+    fn an_arm_rests_once_its_joints_stay_where_they_are() {
+        let mut stillness = Stillness::default();
+        assert_eq!(
+            rest(&mut stillness, 0, &[0.0, 0.01, 0.015, 0.0171, 0.018, 0.01805]),
+            Duration::from_millis(8)
+        );
+        assert_eq!(rest(&mut stillness, 48, &[0.0181; 5]), Duration::from_millis(48));
+        assert_eq!(rest(&mut stillness, 88, &[0.019]), Duration::ZERO, "it moves again");
+        assert!(stillness.restless(ms(1000)).is_some_and(|why| why.contains("wrist 1 moves by")));
+        assert_eq!(stillness.restless(ms(1100)), None, "long ago");
+    }
+
+    #[test]
+    fn a_creeping_joint_does_not_rest() {
+        let creeping: Vec<f64> = (0..100).map(|k| 4e-5 * f64::from(k)).collect();
+        assert!(rest(&mut Stillness::default(), 0, &creeping) < SIMULATED_LEAST_REST);
+    }
+
+    #[test]
+    fn noise_within_the_limit_is_rest() {
+        let noisy: Vec<f64> = (0..100).map(|k| 1.9e-4 * f64::from(k % 2)).collect();
+        assert_eq!(rest(&mut Stillness::default(), 0, &noisy), Duration::from_millis(8 * 99));
+    }
+
+    #[test]
+    fn nothing_is_known_of_a_gap() {
+        let mut stillness = Stillness::default();
+        rest(&mut stillness, 0, &[0.0; 50]);
+        assert_eq!(rest(&mut stillness, 392 + 101, &[0.0]), Duration::ZERO);
+        let mut steady = Stillness::default();
+        rest(&mut steady, 0, &[0.0; 50]);
+        assert_eq!(rest(&mut steady, 392 + 100, &[0.0]), Duration::from_millis(492));
+    }
+
+    /// How long a stop takes until the arm is at rest for so long, and how far a joint then still goes
+    /// within 0.1 s, rad.
+    fn rests(stop: &[Vec<f64>], needed: Duration) -> (f64, f64) {
+        let joints = |row: &Vec<f64>| Joints(row[1..7].try_into().unwrap());
+        let mut stillness = Stillness::default();
+        let rested = stop.iter().position(|row| {
+            // Written with four digits: two that are 0.2 mrad apart differ by a little more.
+            let q = Joints(joints(row).0.map(|q| 0.999 * q));
+            stillness.note(Timestamp::from_secs_f64(row[0]), &q) >= needed
+        });
+        let from = &stop[rested.expect("it rests")];
+        let later = stop.iter().filter(|row| row[0] >= from[0] && row[0] <= from[0] + 0.1);
+        let moved = later.map(|row| joints(row).max_difference(&joints(from))).fold(0.0, f64::max);
+        (from[0] - stop[0][0], moved)
+    }
+
+    /// Of a UR10e, from below 0.05 rad/s to a rest of half a second or more.
+    #[test]
+    fn an_arm_that_was_recorded_rests_once_it_is_found_to() {
+        let Some(data) = std::env::var_os("CELLD_DATA").map(PathBuf::from) else {
+            return eprintln!("SKIPPED: CELLD_DATA does not name the folder with recordings of a real arm");
+        };
+        let Ok(files) = data.join("real/ur10e").read_dir() else {
+            return eprintln!("SKIPPED: no folder real/ur10e in {}", data.display());
+        };
+        let (mut stops, mut swings) = (0, 0);
+        for file in files.map(|file| file.unwrap().path()) {
+            let text = std::fs::read_to_string(&file).unwrap();
+            let numbers = |line: &str| line.split(',').map(|number| number.parse().unwrap()).collect();
+            let rows: Vec<Vec<f64>> = text.lines().skip(1).map(numbers).collect();
+            let slow = |row: &Vec<f64>| row[7..13].iter().all(|speed| speed.abs() < 0.05);
+            let begins = (1..rows.len()).filter(|k| !slow(&rows[k - 1]) && slow(&rows[*k]));
+            for begin in begins {
+                let stop = &rows[begin..];
+                let stop = &stop[..stop.iter().position(|row| !slow(row)).unwrap_or(stop.len())];
+                if stop.last().is_none_or(|last| last[0] - stop[0][0] < 1.0) {
+                    continue;
+                }
+                stops += 1;
+                let (after_s, moved) = rests(stop, LEAST_REST);
+                let name = file.display();
+                assert!(after_s < 0.75 && moved < STILL_RAD + 1e-5, "{name}: {after_s} s, {moved} rad");
+                swings += usize::from(rests(stop, SIMULATED_LEAST_REST).1 > 2.0 * STILL_RAD);
+            }
+        }
+        assert!(stops >= 4 && swings >= 1, "{stops} stops, {swings} of an arm that swings");
+    }
+
+    #[test]
+    fn the_joint_that_does_not_rest_is_reported_once_and_not_before_two_seconds() {
+        let mut stillness = Stillness::default();
+        rest(&mut stillness, 0, &[0.0; 4]);
+        assert_eq!(stillness.report(ms(2000)), None, "nothing has moved");
+        rest(&mut stillness, 1984, &[0.0, 5e-4]);
+        assert_eq!(stillness.report(ms(1999)), None);
+        let text = stillness.report(ms(2000)).unwrap();
+        assert!(text.contains("wrist 1 moves by 0.50 mrad (limit 0.20)"), "{text}");
+        assert_eq!(stillness.report(ms(5000)), None);
+    }
+}
