@@ -303,6 +303,48 @@ mod tests {
         assert!(blended > 20 && stops > 20, "{blended} corners are cut, {stops} are stops");
     }
 
+    /// Up, across and down again: the way across is entered from a blend, and braked before the next corner.
+    #[test]
+    fn a_segment_between_two_corners_can_be_braked_for_the_second() {
+        let model = model(0.5);
+        let (mut stops, mut slowed) = (0, 0);
+        for seed in 0..300 {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let (height, across_m) = (rng.random_range(0.04..0.15), rng.random_range(0.03..0.3));
+            let [speed, acceleration] = [rng.random_range(0.5..2.0), rng.random_range(0.5..4.0)];
+            let at = |x: f64, z: f64| {
+                let near = model.home;
+                model.joints_in_work_posture(&tool_down(x, 0.25, z, 0.0), &near).expect("reachable")
+            };
+            let tool_speed = rng.random_range(0.03..0.3);
+            let line =
+                |target, blend| Segment::Linear { target, speed: tool_speed, acceleration: 1.5, blend };
+            let over = [at(0.1, 0.1 + height), at(0.1 + across_m, 0.1 + height)];
+            let radius = 0.3 * across_m.min(0.03);
+            let legs = [
+                line(over[0], radius),
+                Segment::Joint { target: over[1], speed, acceleration, blend: radius },
+                line(at(0.1 + across_m, 0.07 + height), 0.0),
+            ]
+            .map(|segment| Leg::over(segment, 0.0));
+            let path = CheckedPath::new(&model, &at(0.1, 0.1), &legs, &Room::empty()).expect("free");
+            let [up, across, _] = path.segments() else { panic!("{path:?}") };
+            if up.blend() <= 0.0 || across.blend() > 0.0 {
+                continue;
+            }
+            // It stops at the second corner: the rest of the way has to be enough for that, in rad.
+            stops += 1;
+            slowed += usize::from(pace(across).0 < speed);
+            let tool = |share: f64| model.tool_at(&over[0].lerp(&over[1], share)).translation.vector;
+            let begins = (0..1000).map(|k| f64::from(k) / 1000.0);
+            let share = begins.into_iter().find(|share| (tool(*share) - tool(0.0)).norm() >= radius);
+            let left = (1.0 - share.unwrap_or(1.0)) * over[0].max_difference(&over[1]);
+            let brakes = (2.0 * acceleration * left).sqrt();
+            assert!(pace(across).0 <= 1.01 * brakes, "{seed}: {} rad/s, {brakes}", pace(across).0);
+        }
+        assert!(stops > 20 && slowed > 5, "{stops} stops, {slowed} slowed");
+    }
+
     #[test]
     fn a_corner_that_is_safe_at_full_speed_stays_as_it_is() {
         let model = model(0.5);
