@@ -31,8 +31,8 @@ pub enum BlendSpeed {
     /// Unknown: corners must be safe at any speed.
     #[default]
     Unknown,
-    /// The controller brakes before the corner. Not confirmed for any real arm; for comparison in
-    /// simulation, without a limit for what is held.
+    /// The controller brakes before the corner. Nobody has confirmed that of a real arm. Only for comparison
+    /// in simulation: a load's grip does not limit the speed in corners.
     Braked,
 }
 

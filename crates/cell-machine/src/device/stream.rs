@@ -142,8 +142,9 @@ impl Stream {
         self.push(path, End::Rests, dh)
     }
 
-    /// Adds a path that ends where the next one is waited for. If that is there in time, the last segment is
-    /// left out, unless it is the only one. The end of such a path that goes on in another is not reported.
+    /// Adds a path that ends at a waiting place. If the next path is queued in time, the program skips the
+    /// last segment, unless it is the only one. The end of such a path that goes on in another is not
+    /// reported.
     ///
     /// # Errors
     /// Too much is waiting.

@@ -1,53 +1,51 @@
-//! Corners that are safe at whatever speed the controller takes them.
+//! Corners that are safe at any speed that the controller may have in a blend.
 //!
-//! In: the legs of a path as they were traced. Out: the same legs, some of them slower, some corners left
-//! out: the arm stops there. Pure.
+//! In: the traced legs of a path. Out: the same legs, some of them slower, some blends replaced by a stop.
+//! Pure.
 //!
-//! How fast a controller is in a blend is not published. It may brake before the blend, keep its speed to
-//! the end of it, or take up the speed of the next segment inside it; that it keeps its speed was said in
-//! the vendor's forum (topic 3205), that the tool became faster inside was seen on a UR3e (topic 41354).
-//! Whichever it is, the next segment has to be long enough to brake in, `v^2 <= out^2 + 2 a (length - r)`,
-//! where `out` is the speed at which it may be left; no segment is entered faster than it may be driven;
-//! and what is held withstands the turn, also where the blend begins late. Where slowing both segments for
-//! that costs more time than a stop, the arm stops.
+//! The vendor does not publish a controller's speed in a blend. It may brake before the blend, keep its
+//! speed to the end of the blend, or reach the next segment's speed inside it. An answer in the vendor's
+//! forum says that it keeps its speed (topic 3205); a user saw a UR3e's tool become faster inside (topic
+//! 41354). So three rules hold at every corner. The next segment is long enough to brake in: `v^2 <= out^2
+//! + 2 a (length - r)`, where `out` is the speed allowed at its end. The arm enters no segment above that
+//! segment's speed. The vacuum holds the load in the turn, also if the blend begins late. If slowing both
+//! segments takes longer than a stop, the arm stops.
 //!
-//! Not covered: the acceleration of the joints inside a blend of an empty arm, which the controller limits.
+//! Not covered: joint acceleration inside a blend of an empty arm, which the controller limits.
 
 use crate::arm::ArmModel;
 use crate::path::leg::{Leg, Segment};
 use crate::path::traced::{Traced, at_distance};
 use nalgebra::Vector3;
 
-/// A blend may be so much shorter or longer than its radius: one that began late was seen; how late, or
-/// early, it may be is not known.
+/// A blend's real radius over its nominal one, at least and at most. Both are guesses: one late blend was
+/// reported (topic 41354), no early one.
 const BLEND_RADIUS_MIN_RATIO: f64 = 0.5;
 const BLEND_RADIUS_MAX_RATIO: f64 = 1.1;
 
-/// Pieces of a joint segment's part in a blend at which the tool's speed is looked at.
+/// Pieces into which a joint segment's part of a blend is divided to find the tool's speed.
 const TOOL_SPEED_SAMPLES: usize = 8;
 
-/// A segment that moves the tool less than this has no tool speed that could be kept: m for each of its own
-/// units.
+/// The tool's travel for each unit of a segment, m: below it the arm stops, as there is no tool speed to
+/// keep.
 const MIN_TOOL_M_PER_UNIT: f64 = 1e-3;
 
-/// A segment in its own unit, the leading joint's rad or the tool's m, and how the tool moves at one of its
-/// ends.
+/// One end of a segment. Lengths are in the segment's unit: rad of the leading joint, or m of the tool.
 struct Side {
     length: f64,
-    /// The part of it that belongs to the blend.
+    /// Length inside the blend.
     inside: f64,
-    /// Metres of the tool for each unit there, at most and at least.
+    /// Tool travel for each unit inside the blend.
     max_m_per_unit: f64,
     min_m_per_unit: f64,
     /// Where the tool is at the blend's end, from the corner, m.
     from_corner: Vector3<f64>,
 }
 
-/// Makes every corner of a path safe, the last one first: how fast a segment may be entered depends on how
-/// fast it may be left.
+/// Makes every corner of a path safe, from the last to the first: a segment's entry speed depends on its
+/// exit speed.
 pub(super) fn make_safe(model: &ArmModel, legs: &[Leg], traced: &mut [Traced]) {
-    // Speed at which the segment after the corner may be left, and the part of it that the next corner
-    // takes, in its own unit.
+    // Of the segment after the corner, in its unit: its speed at its end, and its length in the next blend.
     let (mut out, mut taken) = (0.0, 0.0);
     for index in (0..traced.len().saturating_sub(1)).rev() {
         let (before, after) = traced.split_at_mut(index + 1);
@@ -59,20 +57,20 @@ pub(super) fn make_safe(model: &ArmModel, legs: &[Leg], traced: &mut [Traced]) {
     }
 }
 
-/// What counts for a corner besides its two segments.
+/// A corner's surroundings.
 struct Corner {
-    /// The segment before it begins at rest.
+    /// The first segment starts from rest.
     from_rest: bool,
-    /// Largest acceleration that what is held withstands, m/s2.
+    /// Highest acceleration at which the cups hold the load, m/s2.
     hold: f64,
-    /// How fast the next segment may be left, and its part in the corner after it; in its unit.
+    /// The second segment's speed at its end and its length in the next blend, in its unit.
     out: f64,
     taken: f64,
 }
 
 impl Corner {
-    /// Slows the two segments or takes the corner out. Then: how fast the first may be left, and its part in
-    /// the corner, in its unit; `None` where it ends at rest.
+    /// Slows the two segments, or replaces the blend by a stop. Returns the first segment's speed at its end
+    /// and its length in the blend, in its unit; `None` for a stop.
     fn settle(&self, model: &ArmModel, way: &mut Traced, next: &mut Traced) -> Option<(f64, f64)> {
         let radius = way.segment.blend();
         if radius <= 0.0 {
@@ -93,8 +91,7 @@ impl Corner {
         Some((entry, inside))
     }
 
-    /// Speeds of the two segments at which the corner is safe, and the first one's part in it, in their
-    /// units.
+    /// Safe speeds of the two segments, and the first one's length in the blend, each in its segment's unit.
     fn speeds(&self, model: &ArmModel, way: &Traced, next: &Traced, radius: f64) -> Option<(f64, f64, f64)> {
         let radius = BLEND_RADIUS_MAX_RATIO * radius;
         let (one, other) = (Side::new(model, way, radius, true), Side::new(model, next, radius, false));
@@ -106,22 +103,22 @@ impl Corner {
         let room = other.length - other.inside - self.taken;
         let brakes = (self.out * self.out + 2.0 * next_acceleration * room.max(0.0)).sqrt();
         let turns = self.turn_limit(&one, &other);
-        // Raised: the next segment's own speed in the blend already.
+        // The arm may reach the second segment's speed inside the blend.
         let exit = next_speed.min(brakes).min(turns / other.max_m_per_unit);
-        // The later the blend begins, the faster the arm has become.
+        // A late blend leaves the arm a longer way to speed up.
         let before = one.length - BLEND_RADIUS_MIN_RATIO / BLEND_RADIUS_MAX_RATIO * one.inside;
         let reached = match self.from_rest {
             true => (2.0 * acceleration * before.max(0.0)).sqrt(),
             false => f64::INFINITY,
         };
-        // Kept: the tool goes on as fast as it came.
+        // The tool may keep the first segment's speed to the end of the blend.
         let kept = (exit * other.min_m_per_unit).min(turns) / one.max_m_per_unit;
         let entry = if speed.min(reached) <= kept { speed } else { kept };
         (entry > 0.0 && exit > 0.0).then_some((entry, exit, one.inside))
     }
 
-    /// The tool's speed at which what is held withstands the turn, m/s: along the corner's arc the velocity
-    /// turns, or grows from nothing where the one before was slow.
+    /// The tool's highest speed at which the cups hold the load in the turn, m/s. Along the arc the velocity
+    /// changes its direction, or grows from zero if the tool comes slowly.
     fn turn_limit(&self, one: &Side, other: &Side) -> f64 {
         let chord = (other.from_corner - one.from_corner).norm();
         let arc = (2.0 * chord + one.from_corner.norm() + other.from_corner.norm()) / 3.0;
@@ -133,7 +130,7 @@ impl Corner {
 }
 
 impl Side {
-    /// Of the segment that ends at the corner, or of that which begins there.
+    /// `ends`: the segment ends at the corner, otherwise it begins there.
     fn new(model: &ArmModel, way: &Traced, radius: f64, ends: bool) -> Side {
         let place = |index: Option<&cell_values::units::Joints>| {
             index.map_or_else(Vector3::zeros, |q| model.tool_at(q).translation.vector)
