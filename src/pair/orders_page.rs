@@ -41,7 +41,7 @@ pub fn line(given: &Given, found: &Found) -> String {
     let Some(reply) = &found.reply else { return "no answer | |".to_string() };
     let mut answer = plain(&reply.message);
     if given.command == "recover" && reply.accepted {
-        answer = "what happened, what is held, the ways back".to_string();
+        answer = "the last stop, the object held, the recovery options".to_string();
     }
     let yes = if reply.accepted { "yes" } else { "no" };
     let mut happens = vec![if found.armed.1 { "armed" } else { "disarmed" }.to_string()];

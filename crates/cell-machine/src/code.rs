@@ -233,7 +233,7 @@ const TABLE: [(Code, Place, &str, &str); 87] = [
         Code::ControllerGone,
         Place::Result,
         "controller_gone",
-        "the controller ended all its connections: switched off or starting anew",
+        "the controller closed all its connections: it is restarting or was switched off",
     ),
     (Code::EmergencyStop, Place::Result, "emergency_stop", "an emergency stop was pressed"),
     (Code::ProtectiveStop, Place::Result, "protective_stop", "the arm went into a protective stop"),

@@ -150,7 +150,7 @@ impl Supervisor {
 
     fn rtde_lost(&self, devices: &DeviceSnapshot) -> Reason {
         if devices.all_links_lost {
-            let message = "the controller ended all its connections: it starts anew, or was switched off";
+            let message = "the controller closed all its connections: it is restarting or was switched off";
             return self.reason_of(Code::ControllerGone, message, "wait for the controller, look at the arm");
         }
         let message = "the connection to the controller (RTDE) is lost, and with it the sight of the arm: \
