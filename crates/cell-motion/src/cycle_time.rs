@@ -8,6 +8,7 @@
 
 use crate::path::ArmModel;
 use crate::pick_n_place::{CycleParameters, tool_down};
+pub use crate::ramp::rest_to_rest;
 use cell_values::units::Joints;
 use rearrange::geometry::pose::{Pose2, wrap_angle};
 use serde::{Deserialize, Serialize};
@@ -101,15 +102,6 @@ impl CycleTimes {
     }
 }
 
-/// Seconds of a way from rest to rest.
-pub fn rest_to_rest(length: f64, speed: f64, acceleration: f64) -> f64 {
-    if length < speed * speed / acceleration {
-        2.0 * (length / acceleration).sqrt()
-    } else {
-        length / speed + speed / acceleration
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -140,11 +132,5 @@ mod tests {
         let sorted = times.seconds([left(0.1), left(0.2), right(0.1), right(0.2)]);
         let mixed = times.seconds([left(0.1), right(0.1), left(0.2), right(0.2)]);
         assert!(sorted + 0.3 < mixed, "{sorted} {mixed}");
-    }
-
-    #[test]
-    fn ways_take_what_a_trapezoid_takes() {
-        assert!((rest_to_rest(1.0, 0.5, 1.0) - 2.5).abs() < 1e-12);
-        assert!((rest_to_rest(0.16, 0.5, 1.0) - 0.8).abs() < 1e-12);
     }
 }

@@ -17,6 +17,7 @@ pub mod jog;
 pub mod path;
 pub mod pick_n_place;
 pub mod put_down;
+mod ramp;
 pub mod reach;
 pub mod set_out;
 pub mod slow;

@@ -8,6 +8,8 @@
 
 pub mod outbox;
 
+#[cfg(test)]
+pub(crate) mod recordings;
 pub mod registers;
 
 pub mod program;

@@ -58,7 +58,8 @@ fn farthest(before: &[f64; 6], after: &[f64; 6], within_s: f64) -> Option<Jump> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::path::PathBuf;
+    use crate::device::recordings::{self, Sample};
+    use cell_values::units::Joints;
     use ur_wire::rtde_ranges::check;
     use ur_wire::rtde_values::Value;
 
@@ -93,29 +94,20 @@ mod tests {
     /// Positions and speeds of a real UR10e with light and heavy loads.
     #[test]
     fn recordings_of_a_real_arm_have_no_jump_and_no_implausible_number() {
-        let Some(data) = std::env::var_os("CELLD_DATA").map(PathBuf::from) else {
-            return eprintln!("SKIPPED: CELLD_DATA does not name the folder with recordings of a real arm");
-        };
-        let Ok(files) = data.join("real/ur10e").read_dir() else {
-            return eprintln!("SKIPPED: no folder real/ur10e in {}", data.display());
-        };
+        let Some(recordings) = recordings::ur10e() else { return };
         let mut rows = 0;
-        for file in files.map(|file| file.unwrap().path()) {
-            let text = std::fs::read_to_string(&file).unwrap();
+        for (name, samples) in recordings {
             let mut last: Option<(f64, [f64; 6])> = None;
-            for line in text.lines().skip(1) {
-                let numbers: Vec<f64> = line.split(',').map(|number| number.parse().unwrap()).collect();
-                let (&time, joints) = numbers.split_first().unwrap();
-                let (q, qd) = (joints[..6].try_into().unwrap(), joints[6..12].try_into().unwrap());
-                for (name, value) in [
-                    ("timestamp", Value::Double(time)),
+            for Sample { time_s, q: Joints(q), qd } in samples {
+                for (variable, value) in [
+                    ("timestamp", Value::Double(time_s)),
                     ("actual_q", Value::Vector6D(q)),
                     ("actual_qd", Value::Vector6D(qd)),
                 ] {
-                    assert_eq!(check(name, &value), Ok(()), "{}: {line}", file.display());
+                    assert_eq!(check(variable, &value), Ok(()), "{name}, {time_s} s");
                 }
-                if let Some((before, from)) = last.replace((time, q)) {
-                    assert_eq!(farthest(&from, &q, time - before), None, "{}: {line}", file.display());
+                if let Some((before_s, from)) = last.replace((time_s, q)) {
+                    assert_eq!(farthest(&from, &q, time_s - before_s), None, "{name}, {time_s} s");
                 }
                 rows += 1;
             }

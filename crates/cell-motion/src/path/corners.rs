@@ -16,6 +16,7 @@
 use crate::arm::ArmModel;
 use crate::path::leg::{Leg, Segment};
 use crate::path::traced::{Traced, at_distance};
+use crate::ramp::rest_to_rest;
 use nalgebra::Vector3;
 
 /// A blend's real radius over its nominal one, at least and at most. Both are guesses: one late blend was
@@ -52,13 +53,13 @@ pub(super) fn make_safe(model: &ArmModel, legs: &[Leg], traced: &mut [Traced]) {
         let (Some(way), Some(next)) = (before.last_mut(), after.first_mut()) else { return };
         let hold = legs.iter().skip(index).take(2).map(|leg| leg.hold).fold(f64::INFINITY, f64::min);
         let from_rest = index == 0 || legs[index - 1].segment.blend() <= 0.0;
-        let corner = Corner { from_rest, hold, out, taken };
+        let corner = CornerContext { from_rest, hold, out, taken };
         (out, taken) = corner.settle(model, way, next).unwrap_or((0.0, 0.0));
     }
 }
 
-/// A corner's surroundings.
-struct Corner {
+/// What a corner's speeds depend on beside its two segments.
+struct CornerContext {
     /// The first segment starts from rest.
     from_rest: bool,
     /// Highest acceleration at which the cups hold the load, m/s2.
@@ -68,7 +69,7 @@ struct Corner {
     taken: f64,
 }
 
-impl Corner {
+impl CornerContext {
     /// Slows the two segments, or replaces the blend by a stop. Returns the first segment's speed at its end
     /// and its length in the blend, in its unit; `None` for a stop.
     fn settle(&self, model: &ArmModel, way: &mut Traced, next: &mut Traced) -> Option<(f64, f64)> {
@@ -191,11 +192,10 @@ fn with_blend(segment: &Segment, radius: f64) -> Segment {
     other
 }
 
-/// Of a segment from rest to rest, s.
+/// Seconds of a segment from rest to rest.
 fn seconds(way: &Traced, segment: &Segment) -> f64 {
     let (speed, acceleration) = pace(segment);
-    let reached = speed.min((acceleration * way.length).sqrt());
-    way.length / reached.max(1e-9) + reached / acceleration
+    rest_to_rest(way.length, speed, acceleration)
 }
 
 /// What a blend saves against a stop, s: in it both segments run at the same time.
@@ -230,11 +230,13 @@ mod tests {
     const USUAL: Way =
         Way { down: 0.06, blend: 0.03, joint: (1.5, 3.0), line: (0.25, 1.0), hold: f64::INFINITY };
 
+    /// Joints with the tool straight down at a place in the plane y = 0.25 m.
+    fn joints_at(model: &ArmModel, x: f64, z: f64) -> Joints {
+        model.joints_in_work_posture(&tool_down(x, 0.25, z, 0.0), &model.home).expect("reachable")
+    }
+
     fn path(model: &ArmModel, way: &Way) -> (Joints, CheckedPath) {
-        let at = |x: f64, z: f64| {
-            let near = model.home;
-            model.joints_in_work_posture(&tool_down(x, 0.25, z, 0.0), &near).expect("reachable")
-        };
+        let at = |x: f64, z: f64| joints_at(model, x, z);
         let (start, over, low) = (at(0.1, 0.1 + way.down), at(0.4, 0.1 + way.down), at(0.4, 0.1));
         let (speed, acceleration) = way.joint;
         let across = Segment::Joint { target: over, speed, acceleration, blend: way.blend };
@@ -309,10 +311,7 @@ mod tests {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             let (height, across_m) = (rng.random_range(0.04..0.15), rng.random_range(0.03..0.3));
             let [speed, acceleration] = [rng.random_range(0.5..2.0), rng.random_range(0.5..4.0)];
-            let at = |x: f64, z: f64| {
-                let near = model.home;
-                model.joints_in_work_posture(&tool_down(x, 0.25, z, 0.0), &near).expect("reachable")
-            };
+            let at = |x: f64, z: f64| joints_at(&model, x, z);
             let tool_speed = rng.random_range(0.03..0.3);
             let line =
                 |target, blend| Segment::Linear { target, speed: tool_speed, acceleration: 1.5, blend };

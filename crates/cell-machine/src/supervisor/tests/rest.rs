@@ -1,5 +1,6 @@
 //! How an arm comes to rest before a picture: by its joints' positions, not by their measured speeds.
 
+use super::rounds::round_under_way;
 use super::*;
 use crate::stillness::STILL_RAD;
 
@@ -82,10 +83,7 @@ fn bring_up_fails_while_a_joint_shakes() {
 
 #[test]
 fn a_calibration_picture_waits_for_the_joints_and_not_for_their_speeds() {
-    let mut bench = Bench::new();
-    let target = Joints([-1.5, -1.6, 1.9, -1.9, -1.57, 0.0]);
-    bench.feed(Input::Round(Box::new(RoundOrder { poses: vec![target], room: None })));
-    assert_eq!(streams(&bench.ticks(20)), 1);
+    let mut bench = round_under_way();
     bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
     bench.robot.qd = [2.8e-3; 6];
     let pictures =

@@ -7,12 +7,18 @@ use crate::supervisor::gates::GateClosed;
 use crate::supervisor::round::RoundFault;
 use crate::supervisor::status::Doing;
 
-#[test]
-fn a_calibration_round_ends_with_its_cell_disarmed_and_takes_no_pace() {
+/// A round of one pose, on its way there.
+pub(super) fn round_under_way() -> Bench {
     let mut bench = Bench::new();
     let target = Joints([-1.5, -1.6, 1.9, -1.9, -1.57, 0.0]);
     bench.feed(Input::Round(Box::new(RoundOrder { poses: vec![target], room: None })));
     assert_eq!(streams(&bench.ticks(20)), 1);
+    bench
+}
+
+#[test]
+fn a_calibration_round_ends_with_its_cell_disarmed_and_takes_no_pace() {
+    let mut bench = round_under_way();
     for wanted in [Order::Pause, Order::Step, Order::Park] {
         let reply = answer(&bench.feed(order(wanted))).expect("an answer");
         assert!(!reply.accepted && reply.message.contains("`celld abort` ends it"), "{reply:?}");
