@@ -1,24 +1,24 @@
-//! `bench motion`: what it costs that celld's corners are safe at whatever speed a controller passes them.
+//! `bench motion`: the cost of corners that are safe at any blend speed.
 //!
 //! In: limits of the arm, jobs of each scene. Out: mean seconds of a pick-n-place with the simulated arm
-//! passing blends at each speed it can, and with corners of which celld limits nothing.
+//! passing blends at each speed that it can play, and without any limit in corners.
 
 use crate::bench::cycle::{FAST, Pace, USUAL, means, measure_pace};
 use cell_motion::path::BlendSpeed;
 use ur_sim::motion::rounding::{ENTRY_SPEEDS, EntrySpeed};
 
-/// One way of passing blends, at both limits.
+/// Cycle times with one blend speed.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct BlendFigures {
     /// For the table.
     pub name: String,
     /// Mean seconds of a pick-n-place at the usual limits, and at the fast ones without the heavy scene.
     pub cycle_s: [f64; 2],
-    /// Jobs that were not done or broke a rule, with the reason.
+    /// Failed jobs and broken rules.
     pub faults: Vec<String>,
 }
 
-/// Each speed at which the arm can pass blends; last, an arm that brakes and a celld that relies on it.
+/// One row for each blend speed. The last row is an arm that brakes and a celld that relies on it.
 pub fn measure_blends(jobs: u64, progress: &dyn Fn(&str)) -> Vec<BlendFigures> {
     let safe = ENTRY_SPEEDS.iter().map(|(name, speed)| (name.to_string(), *speed, BlendSpeed::Unknown));
     let braked = ("braked, relied on".to_string(), EntrySpeed::Braked, BlendSpeed::Braked);

@@ -47,7 +47,7 @@ pub struct Pace {
     pub tool: (f64, f64),
     /// At which speed the simulated arm passes blends.
     pub entry_speed: EntrySpeed,
-    /// What celld knows of that.
+    /// What celld knows of its blend speed.
     pub blend_speed: BlendSpeed,
 }
 

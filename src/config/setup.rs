@@ -237,7 +237,7 @@ pub fn check_reach(config: &CellConfig, task: &[Transport]) -> Result<(), String
     Ok(())
 }
 
-/// How long the arm rests before a picture: no shorter than a real arm, or a simulated one, takes for it.
+/// How long the arm rests before a picture: the configured time, or the least of a real or simulated arm.
 fn settle(config: &CellConfig) -> Duration {
     let least = if config.simulation.is_some() { SIMULATED_LEAST_REST } else { LEAST_REST };
     Duration::from_secs_f64(config.tolerances.settle_s).max(least)

@@ -34,7 +34,7 @@ const CORNER_STD_PX: f64 = 0.06;
 /// A marker counts as seen when all of it is this far inside the picture, px.
 const MARGIN_PX: f64 = 3.0;
 
-/// How far the camera may move along an exposure, m and rad: about a pixel at 0.4 m.
+/// Largest camera motion in an exposure, m and rad: about a pixel at 0.4 m.
 const MAX_EXPOSURE_TRAVEL_M: f64 = 5e-4;
 const MAX_EXPOSURE_TURN_RAD: f64 = 1.5e-3;
 
@@ -277,7 +277,7 @@ fn usable(image: &Image) -> Result<(), Code> {
     judge(&measure(&image.gray()), &PictureLimits::STANDARD).map_err(|fault| Code::of_picture(&fault))
 }
 
-/// The camera moves too far along an exposure for a sharp picture: by about a pixel.
+/// The camera moves by more than about a pixel in an exposure.
 fn moves(places: &[Isometry3<f64>]) -> bool {
     let (Some(first), Some(last)) = (places.first(), places.last()) else { return false };
     let way = (first.translation.vector - last.translation.vector).norm();

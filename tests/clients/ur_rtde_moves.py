@@ -10,7 +10,7 @@ import rtde_receive
 from harness import LONG, address, check, finish, forward, kinematics, near, power_on, same_pose, wait_until
 
 REACHED = 1e-4
-# The same of the tool: six joints that are off by as much, m and rad.
+# Tolerance of the tool for that error in all six joints, m and rad.
 POSE = (3e-4, 6e-4)
 
 host = address()

@@ -40,9 +40,8 @@ fn a_seed_gives_the_same_run_twice_and_another_seed_another() {
     assert_eq!(prints.len(), 6);
 }
 
-/// Whether the arm brakes for a corner, keeps its speed or takes up that of the next move, early or late.
 #[test]
-fn no_rule_is_broken_at_whatever_speed_blends_are_passed() {
+fn no_rule_is_broken_at_any_blend_speed() {
     for seed in [1, 100] {
         let run = |entry_speed: EntrySpeed| {
             let mut stage = stage(seed, SightKind::Corners).unwrap();

@@ -1,13 +1,12 @@
-//! Whether the arm rests, for a picture: by where its joints were in the last moments.
+//! Standstill detection for pictures, from joint positions.
 //!
-//! In: joint positions of the states of a robot, in order. Out: how long every joint has stayed within
+//! In: the joint positions of successive robot states. Out: how long every joint has stayed within
 //! [`STILL_RAD`], and the joint that last moved more. Pure.
 //!
-//! Measured speeds do not say so. In recordings of a UR10e they have peaks of 1 to 2 mrad/s for up to a
-//! second after a move; those of older controllers are as noisy all the time (2.8 mrad/s,
-//! ur_modern_driver#271). By positions an arm without a load rests at once. One with 2.6 kg swung by 0.6
-//! mrad for a quarter of a second: at a turning point of such a swing the joints seem to rest for some 50
-//! ms.
+//! Measured joint speeds are no measure of standstill. In recordings of a UR10e they have peaks of 1 to 2
+//! mrad/s for up to a second after a move. Older controllers report up to 2.8 mrad/s all the time
+//! (ur_modern_driver#271). The positions of an unloaded arm settle at once. An arm with 2.6 kg swung by 0.6
+//! mrad for a quarter of a second; at each turning point it looked still for about 50 ms.
 
 use cell_values::time::{Duration, Timestamp};
 use cell_values::units::{JOINT_NAMES, Joints};
@@ -23,16 +22,16 @@ pub const STILL_RAD: f64 = 2e-4;
 pub const LEAST_REST: Duration = Duration::from_millis(150);
 pub const SIMULATED_LEAST_REST: Duration = Duration::from_millis(48);
 
-/// States are kept so long after one another; all are compared.
+/// Least time between two stored states. All states are compared, stored or not.
 const KEPT_EVERY: Duration = Duration::from_millis(6);
 
-/// Between states farther apart the joints may have been anywhere.
+/// A longer gap between states restarts the window.
 const LONGEST_GAP: Duration = Duration::from_millis(100);
 
-/// An arm that has not come to rest after this long is reported.
+/// The arm is reported as restless after this long.
 const REPORTED_AFTER: Duration = Duration::from_secs(2);
 
-/// A motion longer ago does not keep an arm from resting.
+/// An older motion is not reported.
 const LATELY: Duration = Duration::from_secs(1);
 
 /// A joint and its peak-to-peak motion.
@@ -45,7 +44,7 @@ pub struct Sway {
 }
 
 impl Sway {
-    /// The largest among some positions.
+    /// The joint with the largest motion among some positions.
     pub fn among<'a>(positions: impl Iterator<Item = &'a Joints>) -> Sway {
         let (mut low, mut high) = ([f64::INFINITY; 6], [f64::NEG_INFINITY; 6]);
         for Joints(q) in positions {
@@ -65,7 +64,7 @@ impl std::fmt::Display for Sway {
     }
 }
 
-/// An arm that comes to rest.
+/// A window of joint positions.
 #[derive(Clone, Debug, Default, Deserialize, Serialize)]
 pub struct Stillness {
     /// Positions within [`STILL_RAD`] of one another, oldest first.
@@ -77,7 +76,7 @@ pub struct Stillness {
 }
 
 impl Stillness {
-    /// The state of a moment; then: how long the arm has been at rest.
+    /// Adds a state. Returns how long the arm has been at rest.
     pub fn note(&mut self, at: Timestamp, q: &Joints) -> Duration {
         self.since.get_or_insert(at);
         if self.within.back().is_some_and(|(last, _)| at.since(*last) > LONGEST_GAP) {
@@ -100,7 +99,7 @@ impl Stillness {
         self.within.front().map_or(Duration::ZERO, |(since, _)| at.since(*since))
     }
 
-    /// That the arm does not rest, once, where that has gone on for long.
+    /// A message about a restless arm, once, after two seconds.
     pub fn report(&mut self, now: Timestamp) -> Option<String> {
         let long = self.since.is_some_and(|since| now.since(since) >= REPORTED_AFTER);
         let why = self.restless(now).filter(|_| long && !self.reported)?;
@@ -108,7 +107,7 @@ impl Stillness {
         Some(format!("{why}; the picture waits; if this goes on, check what shakes the arm"))
     }
 
-    /// The joint that keeps the arm from resting, in words.
+    /// Which joint still moves, as a message.
     pub fn restless(&self, now: Timestamp) -> Option<String> {
         let (at, sway) = self.farther?;
         (now.since(at) <= LATELY).then(|| format!("the arm is not at rest: {sway}"))
@@ -124,7 +123,7 @@ mod tests {
         Timestamp::from_secs_f64(10.0) + Duration::from_millis(ms)
     }
 
-    /// One joint at these positions, 8 ms after one another: for how long the arm has been at rest then.
+    /// Adds positions of one joint at 8 ms intervals. Returns how long the arm has been at rest.
     fn rest(stillness: &mut Stillness, from_ms: u64, positions: &[f64]) -> Duration {
         let mut rested = Duration::ZERO;
         for (k, position) in positions.iter().enumerate() {
@@ -161,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_known_of_a_gap() {
+    fn a_gap_restarts_the_window() {
         let mut stillness = Stillness::default();
         rest(&mut stillness, 0, &[0.0; 50]);
         assert_eq!(rest(&mut stillness, 392 + 101, &[0.0]), Duration::ZERO);
@@ -170,12 +169,11 @@ mod tests {
         assert_eq!(rest(&mut steady, 392 + 100, &[0.0]), Duration::from_millis(492));
     }
 
-    /// How long a stop takes until the arm counts as at rest for so long, and how far a joint goes in the
-    /// 0.1 s after that, rad.
+    /// Seconds until the arm counts as at rest, and the largest joint motion in the 0.1 s after that, rad.
     fn rests(stop: &[Sample], needed: Duration) -> (f64, f64) {
         let mut stillness = Stillness::default();
         let rested = stop.iter().position(|sample| {
-            // Written with four digits: two that are 0.2 mrad apart differ by a little more.
+            // The file has four digits: a difference of 0.2 mrad is read as slightly more.
             let q = Joints(sample.q.0.map(|q| 0.999 * q));
             stillness.note(Timestamp::from_secs_f64(sample.time_s), &q) >= needed
         });
@@ -185,7 +183,7 @@ mod tests {
         (from.time_s - stop[0].time_s, moved)
     }
 
-    /// From below 0.05 rad/s to a rest of a second or more.
+    /// Every recorded stop that lasts a second or more.
     #[test]
     fn a_recorded_arm_stays_where_it_counts_as_at_rest() {
         let Some(recordings) = recordings::ur10e() else { return };
@@ -209,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn the_joint_that_does_not_rest_is_reported_once_and_not_before_two_seconds() {
+    fn a_restless_joint_is_reported_once_after_two_seconds() {
         let mut stillness = Stillness::default();
         rest(&mut stillness, 0, &[0.0; 4]);
         assert_eq!(stillness.report(ms(2000)), None, "nothing has moved");

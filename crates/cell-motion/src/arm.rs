@@ -50,7 +50,7 @@ pub struct ArmModel {
     pub home: Joints,
     /// Limits.
     pub limits: ArmLimits,
-    /// What is known of its corners.
+    /// Its speed in blends.
     pub blend_speed: BlendSpeed,
     /// Arm, tool, table and equipment as bodies.
     pub bodies: Bodies,

@@ -429,7 +429,7 @@ mod tests {
 
     #[test]
     fn every_place_of_the_demo_table_is_served() {
-        // The corners as wide as they fit, however fast they are.
+        // Keeps all blends, whatever their speed.
         let model = ArmModel { blend_speed: BlendSpeed::Braked, ..model(0.5) };
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(11);
         let mut at = home(&model, 0.5);

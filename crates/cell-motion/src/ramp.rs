@@ -2,7 +2,7 @@
 //!
 //! In: length, speed and acceleration in one unit. Out: seconds. Pure.
 
-/// Seconds of a way from rest to rest.
+/// Seconds of a move from rest to rest.
 pub fn rest_to_rest(length: f64, speed: f64, acceleration: f64) -> f64 {
     if length < speed * speed / acceleration {
         2.0 * (length / acceleration).sqrt()

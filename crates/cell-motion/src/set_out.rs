@@ -4,11 +4,11 @@
 //! to over the object, which ends at a waiting place; later, with the object as it was seen, the paths that
 //! go on from there. Pure.
 //!
-//! The arm follows the way to its corner over the object. Where the corner may be cut, it either goes down
-//! from there, as on any approach, or up to the waiting place straight over it, where it rests. Which of
-//! the two is decided as it comes to the corner, by the program on the robot: so what goes on is checked
-//! from the corner and from the waiting place. Where the corner is a stop, it is the waiting place: an arm
-//! that has stopped there begins no further motion. Until then nothing is known, and what was put down last
+//! The arm follows the way to its corner over the object. If the corner is a blend, the
+//! arm goes on down, as on any approach, or up to the waiting place straight over the corner, where it
+//! stops. The program on the robot decides at the corner; so the next path is checked from the corner and
+//! from the waiting place. If the corner is a stop, it is the waiting place itself: a stopped arm starts no
+//! further motion. Until then nothing is known, and what was put down last
 //! may still hang on the cups: that is kept over everything too.
 
 use crate::bodies::{Load, Room, Tabletop};
@@ -19,7 +19,7 @@ use crate::pick_n_place::{
 };
 use nalgebra::Translation3;
 
-/// The waiting place is so much farther from a corner that is cut than it has to be, m.
+/// Extra distance of the waiting place from a blended corner, m.
 const FARTHER_M: f64 = 1e-3;
 
 /// The way to over the object of `paths` and to a waiting place there; `None` where the approach has no
@@ -40,7 +40,7 @@ pub fn set_out(
     };
     let mut legs = vec![Leg::over(*over, cycle.layer())];
     if *blend > 0.0 {
-        // As long as the way down: a corner that is safe for the one is safe for the other.
+        // As long as the descent, so that the corner is safe for both.
         let up = (blend / WAY_SHARE).max(metres(model, corner, low)) + FARTHER_M;
         let place = Translation3::new(0.0, 0.0, up) * model.tool_at(corner);
         let waits = model.joints_in_work_posture(&place, corner)?;
@@ -129,8 +129,7 @@ mod tests {
     /// on, and the object to where it shall be.
     #[test]
     fn the_arm_goes_on_to_where_the_object_was_seen() {
-        // Round a corner, and with a stop there: fast as the way is, only a controller that brakes may cut
-        // it.
+        // With a blend and with a stop: at this speed only a controller that brakes may blend.
         for (blend_speed, cuts) in [(BlendSpeed::Braked, true), (BlendSpeed::Unknown, false)] {
             goes_on(&ArmModel { blend_speed, ..model(0.5) }, cuts);
         }

@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn each_blend_of_the_command_line_is_that_of_the_arm_and_of_the_command_that_repeats_it() {
+    fn blend_option_reaches_the_arm_and_the_repeat_command() {
         let usual = read(&[]).expect("no option is required");
         assert_eq!((usual.blend, usual.repeat_arguments()), (EntrySpeed::Braked, String::new()));
         for (word, entry_speed) in ENTRY_SPEEDS {

@@ -236,7 +236,7 @@ fn rtde(host: &str, clock: &Clock) -> Result<RtdeFacts, LinkFault> {
     Ok(facts)
 }
 
-/// As long as the arm rests before a picture of a calibration round, the longest of all.
+/// Rest before a calibration picture: the longest that celld requires.
 const WATCHED_REST: Duration = Duration::from_millis(500);
 
 /// How well the joints rest.

@@ -83,7 +83,7 @@ impl<'a> Truth<'a> {
         let controller = simulator.core().robot.controller();
         let (core, programs) = (&controller.core, &controller.programs);
         let qd = core.mover.qd();
-        // An arm that is held fast by a fault slows down as it does under a lower slider.
+        // A stalled arm (a fault) slows down like one with a lower speed slider.
         let full =
             core.mover.scaling().min(core.mover.pace()) >= 1.0 && core.registers.speed_fraction() >= 1.0;
         let safe = core.modes.motion_allowed();

@@ -133,7 +133,7 @@ fn scaled(field: std::ops::Range<usize>, factor: f64) -> Plant {
     })
 }
 
-/// What follows another move over the table is as fast as the joints may be, and its corner is cut.
+/// Joint moves that another move follows run at full speed, with a blend.
 fn corners_fast() -> Plant {
     on_commands(|command| {
         let goes_on = rtde::integer(command, rtde::OPTIONS) == 0;
@@ -188,7 +188,6 @@ fn a_job_begins(pair: &mut Pair, stage: &Stage) {
     until_found(pair, 20.0);
 }
 
-/// What follows from a breach is not looked at.
 fn until_the_first_breach(pair: &mut Pair, stage: &Stage) {
     arm(pair);
     submit(pair, stage, 0);

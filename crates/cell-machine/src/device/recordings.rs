@@ -1,9 +1,9 @@
-//! Recordings of a real UR10e for tests, read where they are (CELLD_DATA); tests without them say so.
+//! Recordings of a real UR10e, read from the folder in CELLD_DATA, for tests.
 
 use cell_values::units::Joints;
 use std::path::PathBuf;
 
-/// A line of a recording.
+/// One sample of a recording.
 pub struct Sample {
     /// Controller time, s.
     pub time_s: f64,
@@ -13,7 +13,7 @@ pub struct Sample {
     pub qd: [f64; 6],
 }
 
-/// Name and samples of every recording; `None`, with a line on standard error, where there are none.
+/// Name and samples of every recording. Without the folder: `None`, and a line on standard error.
 pub fn ur10e() -> Option<Vec<(String, Vec<Sample>)>> {
     let folder = std::env::var_os("CELLD_DATA").map(|data| PathBuf::from(data).join("real/ur10e"));
     let Some(files) = folder.and_then(|folder| folder.read_dir().ok()) else {

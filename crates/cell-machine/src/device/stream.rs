@@ -161,7 +161,7 @@ impl Stream {
             let end = if index + 1 == segments.len() { end } else { End::GoesOn };
             let what = What::Segment { batch: self.batch, index, end };
             let nominal_s = nominal_duration_s(dh, &from, segment);
-            // A path's only segment is never left out: the arm comes to where the next path begins by it.
+            // A path's only segment is never skipped: the next path begins at its end.
             let command = segment_registers(segment, end == End::GoesOn, end == End::Waits && index > 0);
             self.waiting.push_back(Item { what, command, nominal_s });
             from = segment.target();

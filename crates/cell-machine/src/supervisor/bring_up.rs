@@ -141,7 +141,8 @@ impl Supervisor {
                 if bring_up.program_requested
                     && self.nonce.is_some_and(|nonce| robot.nonce == nonce.number()) =>
             {
-                // An arm that shakes too much for a picture is reported here. A way back takes none.
+                // An arm that shakes too much for a picture is reported before it moves. Recovery needs no
+                // picture.
                 let rested = bring_up.rest.note(robot.received, &robot.q);
                 if rested < self.model.tolerances.settle && self.back.recovery.is_none() {
                     let report = bring_up.rest.report(robot.received);

@@ -98,7 +98,7 @@ pub(crate) struct Ahead {
 pub(crate) enum LookStage {
     /// On the way to a look pose.
     Moving,
-    /// Arrived; it comes to rest.
+    /// Arrived, coming to rest.
     Settling { rest: Stillness },
     /// Frames are being taken with the arm at these joints.
     Capturing { q: Joints },
@@ -111,7 +111,7 @@ pub(crate) enum LookStage {
 pub(crate) enum Visit {
     /// On the way.
     Moving,
-    /// Arrived; it comes to rest.
+    /// Arrived, coming to rest.
     Settling { rest: Stillness },
     /// The picture is being taken.
     Picturing,

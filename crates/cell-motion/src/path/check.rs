@@ -133,8 +133,8 @@ fn sweep(
         chain(&mut sweep, &way.points, leg.zone).map_err(found)?;
         let Some((after, next)) = traced.get(index + 1).zip(legs.get(index + 1)) else { continue };
         if way.segment.blend() > 0.0 {
-            // A blend that begins early cuts a little more than its radius: 1 mm at 30 mm. The air that is
-            // kept in corners is more than that.
+            // An early blend cuts the corner more: by 1 mm at a radius of 30 mm. The clearance kept in
+            // corners is larger.
             let corner = Corner::new(model, way, after, way.segment.blend());
             // A corner is cut aside of both legs: clear of everything, and over everything, where one of
             // them goes down with less air.

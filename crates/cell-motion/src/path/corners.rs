@@ -154,7 +154,7 @@ impl Side {
                 Side { length, inside, max_m_per_unit: most, min_m_per_unit: least, from_corner: away }
             }
             (Segment::Joint { .. } | Segment::Linear { .. }, _) => {
-                // A line that mostly turns counts longer than it is.
+                // The length of a line that mostly turns is that of its turn.
                 let share = (place(way.points.last()) - place(way.points.first())).norm() / length.max(1e-9);
                 Side {
                     length,
@@ -198,7 +198,7 @@ fn seconds(way: &Traced, segment: &Segment) -> f64 {
     rest_to_rest(way.length, speed, acceleration)
 }
 
-/// What a blend saves against a stop, s: in it both segments run at the same time.
+/// Seconds that a blend saves against a stop: both segments run at the same time in it.
 fn saved(segment: &Segment, inside: f64) -> f64 {
     let (speed, acceleration) = pace(segment);
     let speed = speed.min((2.0 * acceleration * inside).sqrt()).max(1e-9);
@@ -216,10 +216,10 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// How a path goes over a table and down at its end.
+    /// A path over a table and down.
     #[derive(Clone, Copy, Debug)]
     struct Way {
-        /// From the corner over the end, m, and the radius of the blend there.
+        /// Height of the corner over the end, and radius of the blend there, m.
         down: f64,
         blend: f64,
         joint: (f64, f64),
@@ -246,7 +246,7 @@ mod tests {
         (start, CheckedPath::new(model, &start, &legs, &Room::empty()).expect("free"))
     }
 
-    /// The tool's largest speed at which the first segment can come to the blend, by its own trapezoid.
+    /// The tool's highest speed at the start of the blend, from the first segment's trapezoid.
     fn comes_at(model: &ArmModel, start: &Joints, across: &Segment) -> f64 {
         let (speed, acceleration) = pace(across);
         let (target, travel) = (across.target(), start.max_difference(&across.target()));
@@ -287,14 +287,14 @@ mod tests {
                     "{seed}: {came} and {next_speed}, {brakes} m/s"
                 );
                 assert!(came <= 1.01 * next_speed, "{seed}: {came} m/s into a segment of {next_speed}");
-                // A right angle, along a parabola of half the radius: kept and raised.
+                // A right angle along a parabola of half the radius.
                 let arc = (2.0 * std::f64::consts::SQRT_2 + 2.0) / 3.0 * radius * BLEND_RADIUS_MIN_RATIO;
                 let turned = std::f64::consts::SQRT_2 * came.max(next_speed).powi(2) / arc;
                 assert!(turned <= 1.1 * hold, "{seed}: {turned} m/s2, where {hold} holds");
             } else {
                 stops += 1;
             }
-            // What was checked is not slowed again.
+            // A second check does not slow the path again.
             let legs = [*across, *below].map(|segment| Leg::over(segment, 0.0).holding(hold));
             let again = CheckedPath::new(&model, &start, &legs, &Room::empty()).expect("free");
             assert_eq!(again.segments(), path.segments(), "{seed}");
@@ -302,9 +302,9 @@ mod tests {
         assert!(blended > 20 && stops > 20, "{blended} corners are cut, {stops} are stops");
     }
 
-    /// Up, across and down again: the way across is entered from a blend, and braked before the next corner.
+    /// Up, across and down: the segment across starts in a blend and ends with a stop.
     #[test]
-    fn a_segment_between_two_corners_can_be_braked_for_the_second() {
+    fn a_segment_between_two_corners_can_stop_at_the_second() {
         let model = model(0.5);
         let (mut stops, mut slowed) = (0, 0);
         for seed in 0..300 {
@@ -328,7 +328,7 @@ mod tests {
             if up.blend() <= 0.0 || across.blend() > 0.0 {
                 continue;
             }
-            // It stops at the second corner: the rest of the way has to be enough for that, in rad.
+            // After the first blend, the rest of the segment is long enough to stop in, in rad.
             stops += 1;
             slowed += usize::from(pace(across).0 < speed);
             let tool = |share: f64| model.tool_at(&over[0].lerp(&over[1], share)).translation.vector;
@@ -342,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn a_corner_that_is_safe_at_full_speed_stays_as_it_is() {
+    fn a_corner_that_is_safe_at_full_speed_is_unchanged() {
         let model = model(0.5);
         let long = Way { down: 0.3, joint: (0.3, 3.0), ..USUAL };
         let (_, path) = path(&model, &long);
@@ -351,7 +351,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fast_way_to_a_short_descent_ends_with_a_stop_and_a_slow_one_is_slowed() {
+    fn before_a_short_descent_a_fast_segment_stops_and_a_slow_one_is_slowed() {
         let model = model(0.5);
         let (_, fast) = path(&model, &USUAL);
         assert_eq!((fast.segments()[0].blend(), pace(&fast.segments()[0])), (0.0, USUAL.joint));
@@ -370,7 +370,7 @@ mod tests {
     }
 
     #[test]
-    fn what_holds_little_is_not_turned_fast() {
+    fn a_weak_grip_limits_the_speed_in_corners() {
         let model = model(0.5);
         let slow = Way { joint: (0.4, 3.0), line: (0.25, 1.0), ..USUAL };
         let (_, held) = path(&model, &Way { hold: 0.5, ..slow });

@@ -1,21 +1,21 @@
-//! A leg as it was traced: the joint positions it passes, its length, its segment with the speed it may
-//! have.
+//! A traced leg: its joint positions, its length, and its segment at a safe speed.
 //!
-//! In: chains of joint positions. Out: places along them by how far the tool is. Pure.
+//! In: a chain of joint positions and a distance. Out: the first position at that distance of the tool.
+//! Pure.
 
 use crate::arm::ArmModel;
 use crate::path::leg::Segment;
 use cell_values::units::Joints;
 
-/// A leg as the joint positions it passes, and its segment with the speed it may have.
+/// See the module.
 pub(super) struct Traced {
     pub points: Vec<Joints>,
     pub segment: Segment,
-    /// How long it is in its own unit: rad of the leading joint, m of the tool.
+    /// In the segment's unit: rad of the leading joint, m of the tool.
     pub length: f64,
 }
 
-/// The first place along a chain, from its first point on, where the tool is `distance` (m) away from there.
+/// The first position of a chain at which the tool is `distance` (m) away from the chain's start.
 pub(super) fn at_distance<'a>(
     model: &ArmModel,
     chain: impl Iterator<Item = &'a Joints>,

@@ -1,5 +1,5 @@
-//! `rest:` of the simulator's configuration: how the joints come to rest, and how noisy their speed is
-//! there.
+//! `rest:` of the simulator's configuration: how the joints come to rest, and how noisy they
+//! are measured.
 //!
 //! In: the section. Out: see [`RestConfig`].
 
@@ -10,7 +10,7 @@ use rearrange::document::decode::{At, Decoder};
 /// As the file names them.
 const STOPS: &[(&str, Stop)] = &[("creeping", Stop::Creeping), ("exact", Stop::Exact)];
 
-/// Fastest noise of a joint's speed, rad/s.
+/// Largest noise, rad/s or rad.
 const LOUDEST: f64 = 0.1;
 
 /// Reads the section.
@@ -50,7 +50,7 @@ mod tests {
     }
 
     #[test]
-    fn another_word_and_a_larger_noise_are_reported() {
+    fn unknown_words_and_noise_out_of_range_are_reported() {
         assert!(read("\nrest: {stop: soft}").unwrap_err().contains("\"soft\" is not known here"));
         assert!(read("\nrest: {speed_noise: 0.2}").unwrap_err().contains("speed_noise"));
         assert!(read("\nrest: {position_noise: -1}").unwrap_err().contains("position_noise"));

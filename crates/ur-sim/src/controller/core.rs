@@ -61,9 +61,9 @@ pub struct Core {
     pub modes: Modes,
     /// Registers, inputs and outputs.
     pub registers: Registers,
-    /// The arm as it is commanded.
+    /// The commanded arm.
     pub mover: Mover,
-    /// How far it is from that, and what is measured of it.
+    /// The real arm's offset from it, and measurement noise.
     rest: Rest,
     /// `base_from_flange` as it really is.
     flange: Isometry3<f64>,
@@ -178,17 +178,17 @@ impl Core {
         self.flange
     }
 
-    /// Joint positions as they are measured, rad.
+    /// Measured joint positions, rad.
     pub fn actual_q(&self) -> Joints {
         Joints(plus(self.mover.q().0, self.rest.measured()))
     }
 
-    /// Joint speeds as they are measured, rad/s.
+    /// Measured joint speeds, rad/s.
     pub fn actual_qd(&self) -> [f64; 6] {
         plus(self.mover.qd(), self.rest.measured_speed())
     }
 
-    /// What a frame leaves of the last motion.
+    /// One frame of coming to rest.
     pub(super) fn come_to_rest(&mut self) {
         if self.modes.brakes_open() {
             self.rest.step(&self.mover.qd());

@@ -5,8 +5,8 @@
 //! profiles are not published; modelled here: speed over the path is a trapezoid ([`profile`]), a path is a
 //! line in joint space or a line, circle or rounded corner in tool space ([`segment`], [`tool_path`]), and
 //! a blend is the end of one segment and the start of the next running at the same time ([`mover`]), or the
-//! arm rounds the corner at a speed that it does not brake for it ([`rounding`]). Where a move ends the
-//! joints creep the last bit ([`rest`]).
+//! arm rounds the corner at a speed that it does not brake for it ([`rounding`]). After a
+//! move the joints creep to their target ([`rest`]).
 
 pub mod belt;
 

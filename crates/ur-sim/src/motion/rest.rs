@@ -1,17 +1,17 @@
-//! How the joints come to rest: how far they are from where a move ends, and what is measured of it.
+//! How the joints come to rest: their offset from the target, and the measured speed.
 //!
-//! In: how fast each joint moves, frame by frame. Out: how far each one is from its target, and what is
-//! measured of its speed. Pure, by seed.
+//! In: the joint speeds of each frame. Out: offset and measured speed of each joint. Pure, by seed.
 //!
-//! As in recordings of a UR10e at 100 Hz: after a move without a load the joints are within 0.1 mrad of
-//! their target (0.2 were recorded at times) and creep there in jolts, the last one up to 0.9 s later. The
-//! measured speed is filtered: each jolt shows as a peak of about 1 mrad/s (up to 2 were recorded) that
-//! falls to a third within 40 ms; the jolts' size is inferred from these peaks, as positions were written
-//! to 0.1 mrad. At rest there are peaks of up to 0.3 mrad/s. From below 50 mrad/s to 0.15 s without a speed
-//! over 0.5 mrad/s took 0.17 to 1.11 s, the median 0.64 s. How the jolts are spread over joints and time is
-//! chosen so that this comes out where all joints move. Not modelled: an arm that swings by 0.6 mrad for
-//! 0.25 s after a move, as was recorded with a load of 2.6 kg. The speed of controllers before the e-Series
-//! is noisier all the time (up to 2.8 mrad/s, reported once).
+//! From recordings of an unloaded UR10e at 100 Hz: after a move the joints are within 0.1 mrad of their
+//! target (0.2 mrad at times). They creep there in jolts for up to a second. The measured speed is
+//! filtered: a jolt shows as a peak of about 1 mrad/s (2 mrad/s at most) that falls to a third within 40
+//! ms. At rest there are peaks of up to 0.3 mrad/s. Speeds took 0.17 to 1.11 s, in the median 0.64 s, from
+//! below 50 mrad/s to 0.15 s without a peak over 0.5 mrad/s. Older controllers report noise of up to 2.8
+//! mrad/s (one report).
+//!
+//! Inferred: the size of a jolt, from its peak of speed, as the recorded positions have 0.1 mrad. Chosen:
+//! which joints jolt and when, so that the recorded times come out if all joints move. Not modelled: the
+//! swing of a loaded arm, which was 0.6 mrad for 0.25 s with 2.6 kg.
 
 use crate::motion::FRAME_SECONDS;
 use rand::{RngExt, SeedableRng};
@@ -21,65 +21,65 @@ use std::ops::Range;
 /// How the joints stop.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Stop {
-    /// Where the move ends, at once, and they stay there.
+    /// At the target, at once.
     #[default]
     Exact,
-    /// They creep there, and tremble.
+    /// They creep to the target, and tremble.
     Creeping,
 }
 
-/// What is simulated of the joints at rest; nothing unless set otherwise.
+/// Behaviour at rest. Default: exact, without noise.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RestConfig {
     /// How they stop.
     pub stop: Stop,
-    /// Noise of the measured speed in every frame, rad/s.
+    /// Largest noise of the measured speed, rad/s.
     pub speed_noise: f64,
-    /// Noise of the measured position in every frame, rad.
+    /// Largest noise of the measured position, rad.
     pub position_noise: f64,
 }
 
 impl RestConfig {
-    /// As in the recordings of an e-Series arm.
+    /// As recorded of an e-Series arm.
     pub fn recorded() -> RestConfig {
         RestConfig { stop: Stop::Creeping, ..RestConfig::default() }
     }
 }
 
-/// Time constant of the filter of the measured speed, s.
+/// Time constant of the speed filter, s.
 const FILTER_S: f64 = 0.035;
 
-/// A jolt after a move, rad.
+/// Size of a jolt, rad.
 const JOLT_RAD: Range<f64> = 2.6e-5..4.4e-5;
 
-/// How many a joint that has moved makes: each of these as often.
+/// Jolts of a joint after a move, drawn from these.
 const JOLTS: [usize; 4] = [1, 2, 2, 2];
 
-/// The last one comes at most so long after the move, s.
+/// Latest jolt after a move, s.
 const LAST_JOLT_S: f64 = 0.95;
 
-/// Share of the offset that comes about in a frame of a move.
+/// Share of the offset that builds up in each frame of a move.
 const SHARE_OF_A_FRAME: f64 = 0.02;
 
-/// At rest a joint goes to and fro by as much, rad, which shows as at most 0.3 mrad/s.
+/// Amplitude of a tremble at rest, rad: at most 0.3 mrad/s of measured speed.
 const TREMBLE_RAD: Range<f64> = 3e-6..1.05e-5;
 
-/// So long after one another, s: any joint.
+/// Time between two trembles, of any joint, s.
 const TREMBLES_AFTER_S: Range<f64> = 0.2..4.0;
 
-/// Speeds below this are none, rad/s.
+/// Slower counts as standstill, rad/s.
 const LEAST_SPEED: f64 = 1e-9;
 
-/// What a joint still does after a move.
+/// A joint's jump towards its target.
 #[derive(Clone, Copy, Debug)]
 struct Jolt {
     joint: usize,
     rad: f64,
-    /// Frames until it comes.
+    /// Frames until then.
     frames: u32,
 }
 
-/// The joints beside their motion.
+/// The joints' offsets and measured speeds.
 #[derive(Clone, Debug)]
 pub struct Rest {
     rng: ChaCha8Rng,
@@ -87,9 +87,9 @@ pub struct Rest {
     moves: bool,
     offset: [f64; 6],
     speed: [f64; 6],
-    /// Of the move under way, or still to come after the last one.
+    /// Due after the move under way, or after the last one.
     jolts: Vec<Jolt>,
-    /// The offset of each joint at the end of the move under way, rad.
+    /// Offset of each joint at the end of the move, rad.
     end_offset: [f64; 6],
     until_tremble: u32,
     trembles: [f64; 6],
@@ -114,22 +114,22 @@ impl Rest {
         }
     }
 
-    /// Where each joint is, from its target, rad.
+    /// Real offset of each joint from its target, rad.
     pub fn offset(&self) -> [f64; 6] {
         self.offset
     }
 
-    /// Where each joint is measured to be, from its target, rad.
+    /// Measured offset of each joint from its target, rad.
     pub fn measured(&self) -> [f64; 6] {
         std::array::from_fn(|joint| self.offset[joint] + self.noise[0][joint])
     }
 
-    /// What is measured of each joint's speed beside that of its motion, rad/s.
+    /// Measured speed of each joint minus its commanded speed, rad/s.
     pub fn measured_speed(&self) -> [f64; 6] {
         std::array::from_fn(|joint| self.speed[joint] + self.noise[1][joint])
     }
 
-    /// One frame in which each joint moves as fast, rad/s.
+    /// One frame with these commanded joint speeds, rad/s.
     pub fn step(&mut self, qd: &[f64; 6]) {
         let RestConfig { stop, speed_noise, position_noise } = self.config;
         if stop == Stop::Creeping {
@@ -166,7 +166,7 @@ impl Rest {
         self.jolts.clear();
     }
 
-    /// A joint's offset is drawn once it moves.
+    /// Draws the offset of a joint when it starts to move.
     fn goes_on(&mut self, qd: &[f64; 6]) {
         for (joint, speed) in qd.iter().enumerate() {
             if speed.abs() > LEAST_SPEED && self.end_offset[joint] == 0.0 {
@@ -183,7 +183,7 @@ impl Rest {
 
     fn stops(&mut self) {
         self.moves = false;
-        // A short move has not come to its whole offset.
+        // A short move has not reached its full offset.
         for joint in 0..6 {
             let reached =
                 if self.end_offset[joint] == 0.0 { 0.0 } else { self.offset[joint] / self.end_offset[joint] };
@@ -204,7 +204,7 @@ impl Rest {
         let due: Vec<Jolt> = self.jolts.extract_if(.., due).collect();
         due.iter().for_each(|jolt| self.jerk(jolt.joint, jolt.rad));
         if !due.is_empty() && self.jolts.is_empty() {
-            // What rounding leaves.
+            // Removes rounding errors.
             self.offset = self.trembles;
         }
         self.until_tremble = self.until_tremble.saturating_sub(1);
@@ -231,8 +231,7 @@ fn frames(seconds: f64) -> u32 {
 mod tests {
     use super::*;
 
-    /// A move that brakes at 0.87 rad/s2, as in the recordings, then three seconds: measured speeds and how
-    /// far the joints are off, from below 0.05 rad/s on.
+    /// Measured speeds and offsets of a stop, from 0.05 rad/s on. It brakes at 0.87 rad/s2, as recorded.
     fn stop(rest: &mut Rest) -> Vec<([f64; 6], [f64; 6])> {
         let mut seen = Vec::new();
         let mut speed = 0.4;
@@ -282,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn right_after_a_move_every_joint_is_near_its_target() {
+    fn after_a_move_every_joint_is_within_a_tenth_of_a_milliradian() {
         let mut rest = Rest::new(RestConfig::recorded(), 4);
         let off = (0..50).flat_map(|_| stop(&mut rest)).flat_map(|(_, off)| off);
         let most = off.fold(0.0, |most: f64, v| most.max(v.abs()));

@@ -17,7 +17,7 @@ const BLEND_START_RANGE: std::ops::RangeInclusive<f64> = 0.5..=1.1;
 /// A joint that has this share of the fastest one's speed leads.
 const LEADING_SHARE: f64 = 0.5;
 
-/// A curve in which a joint is too fast takes so much longer, and again, so often at most.
+/// A curve with too fast a joint is stretched by this factor, repeatedly.
 const LONGER: f64 = 1.1;
 const LONGER_STEPS: usize = 80;
 
@@ -113,23 +113,22 @@ pub struct Rounding {
 }
 
 impl Rounding {
-    /// Takes about so many seconds, as many as it takes to be smooth: if there is no such time, some joints
-    /// turn back.
+    /// A curve of about so many seconds, stretched or shortened until it is smooth. If no time makes it
+    /// smooth, some joints turn back.
     pub fn new(from: JointState, to: JointState, seconds: f64) -> Rounding {
         let [mut least, most] = smooth_seconds(&from, &to);
-        // Nor is one that does not lead faster than all are at the ends.
+        // Joints that do not lead stay below the fastest speed at the ends.
         let fastest = fastest(&from, &to);
-        for _ in 0..LONGER_STEPS {
-            if (0..6).all(|joint| largest_speed(joint, &from, &to, least) <= fastest) {
-                break;
-            }
+        let too_fast = |seconds: f64| (0..6).any(|joint| largest_speed(joint, &from, &to, seconds) > fastest);
+        let mut steps = 0..LONGER_STEPS;
+        while too_fast(least) && steps.next().is_some() {
             least = least.max(FRAME_SECONDS) * LONGER;
         }
         let seconds = seconds.clamp(least, most.max(least)).max(FRAME_SECONDS);
-        Rounding { from, to, seconds, smooth: least <= most }
+        Rounding { from, to, seconds, smooth: least <= most && steps.next().is_some() }
     }
 
-    /// No leading joint turns back that goes on in its direction.
+    /// No leading joint turns back, unless its direction differs at the two ends.
     pub fn is_smooth(&self) -> bool {
         self.smooth
     }
@@ -157,7 +156,7 @@ fn fastest(from: &JointState, to: &JointState) -> f64 {
     from.qd.iter().chain(&to.qd).fold(0.0f64, |most, one| most.max(one.abs()))
 }
 
-/// The highest speed of a joint inside a cubic that takes so many seconds, rad/s: where its parabola turns.
+/// A joint's highest speed inside a cubic of so many seconds, rad/s: at the vertex of its parabola of speed.
 fn largest_speed(joint: usize, from: &JointState, to: &JointState, seconds: f64) -> f64 {
     let mean = (to.q.0[joint] - from.q.0[joint]) / seconds.max(FRAME_SECONDS);
     let (one, other) = (from.qd[joint], to.qd[joint]);
@@ -178,7 +177,7 @@ fn smooth_seconds(from: &JointState, to: &JointState) -> [f64; 2] {
         if fast.abs() < LEADING_SHARE * fastest {
             continue;
         }
-        // As the faster end goes.
+        // In the direction of the faster end.
         let (way, slow, fast) =
             ((to.q.0[joint] - from.q.0[joint]) * fast.signum(), slow * fast.signum(), fast.abs());
         seconds[0] = seconds[0].max(3.0 * way / (slow + 2.0 * fast));
@@ -221,7 +220,7 @@ mod tests {
                 for k in 0..500 {
                     let speed = (at(k + 1) - at(k)) * 500.0 / seconds;
                     let least = begins.min(ends).min(0.0) - 1e-9;
-                    // One that turns back anyhow does so as late as it takes.
+                    // A joint whose ends differ in direction turns back.
                     assert!(speed < 1.001 && (speed >= least || least < -1e-6), "{wanted} s, {k}: {speed}");
                 }
             }
@@ -232,7 +231,7 @@ mod tests {
         assert!(!Rounding::new(state(0.0, 1.0), to, 0.1).is_smooth());
     }
 
-    /// The first joint leads; the second one rests at both ends and has to go 0.3 rad meanwhile.
+    /// The first joint leads. The second one is slow at both ends and moves by 0.3 rad.
     #[test]
     fn a_joint_that_does_not_lead_is_no_faster_than_the_others() {
         let state = |q: [f64; 2], qd: [f64; 2]| JointState {

@@ -1,10 +1,10 @@
-//! How an arm comes to rest before a picture: by its joints' positions, not by their measured speeds.
+//! Standstill before a picture is judged by joint positions, not by measured speeds.
 
 use super::rounds::round_under_way;
 use super::*;
 use crate::stillness::STILL_RAD;
 
-/// States in which one joint goes to and fro by this much, rad, every 20 ms.
+/// States in which one joint swings by this much, rad, every 20 ms.
 fn sway(bench: &mut Bench, joint: usize, by_rad: f64, states: usize) -> Vec<Action> {
     let rest = bench.robot.q.0[joint];
     let mut all = Vec::new();
@@ -43,7 +43,7 @@ fn noise_of_the_measured_speed_delays_no_picture() {
 }
 
 #[test]
-fn a_joint_that_does_not_rest_is_named_once_while_the_look_waits_and_in_its_end() {
+fn a_waiting_look_names_the_restless_joint_once_and_when_it_fails() {
     let mut bench = on_the_way();
     bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
     let mut all = sway(&mut bench, 3, 1.5 * STILL_RAD, 90);
@@ -59,7 +59,7 @@ fn a_joint_that_does_not_rest_is_named_once_while_the_look_waits_and_in_its_end(
 }
 
 #[test]
-fn an_arm_that_rests_at_last_is_pictured() {
+fn a_picture_is_taken_once_the_arm_rests() {
     let mut bench = on_the_way();
     bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
     assert_eq!(captures(&sway(&mut bench, 0, 5e-4, 200)), 0);
@@ -82,7 +82,7 @@ fn bring_up_fails_while_a_joint_shakes() {
 }
 
 #[test]
-fn a_calibration_picture_waits_for_the_joints_and_not_for_their_speeds() {
+fn a_calibration_picture_waits_for_still_positions_and_ignores_speeds() {
     let mut bench = round_under_way();
     bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
     bench.robot.qd = [2.8e-3; 6];

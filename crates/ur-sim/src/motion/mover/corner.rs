@@ -3,9 +3,9 @@
 //! In: the move under way, which has come to its blend, and the next one. Out: the next one as a segment
 //! that begins with the rounded corner; none where there is no corner to round: nothing blends, the tool
 //! hardly travels on one of the sides, the way turns back, or a duration is given. Then the two moves
-//! overlap, and the first one brakes as hard as its blend is short. Where no smooth curve has the speeds of
-//! both sides, the arm takes up less of the next move's speed, or a joint turns back a little. The same
-//! holds for `movec` and `movep` after such a move: nothing is known of them.
+//! overlap, and the first one brakes as hard as its blend is short. If no smooth curve has the speeds of
+//! both sides, the arm ends the corner more slowly, or a joint turns back a little. The same holds for
+//! `movec` and `movep` after such a move: nothing is known of them.
 
 use crate::motion::mover::{Mover, Task};
 use crate::motion::rounding::{EntrySpeed, JointState, Rounding};
@@ -18,7 +18,7 @@ use nalgebra::Isometry3;
 /// Steps in which a tool move is followed to where a corner ends.
 const STEPS: u32 = 8;
 
-/// Steps in which the speed at a corner's end is lowered to the one at its beginning.
+/// Steps from the wanted speed at a corner's end down to the speed at its start.
 const SPEED_STEPS: usize = 8;
 
 /// A slower tool has no speed to keep, m/s.

@@ -21,9 +21,8 @@ fn a_way_to_a_waiting_place_ends_there_unless_another_follows() {
     assert_eq!(rig.fake.options, [0, 3, 1, 0, 3], "only the last segment may be left out");
 }
 
-/// A way that ends where its corner would be: what goes on begins there.
 #[test]
-fn the_only_segment_of_a_way_to_a_waiting_place_is_not_left_out() {
+fn the_only_segment_of_a_waiting_path_is_never_skipped() {
     let mut rig = Rig::running();
     rig.command(RobotCommand::SetOut(path(HOME, 1)));
     rig.run_ms(5);
