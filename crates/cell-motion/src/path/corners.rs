@@ -6,10 +6,15 @@
 //! The vendor does not publish a controller's speed in a blend. It may brake before the blend, keep its
 //! speed to the end of the blend, or reach the next segment's speed inside it. An answer in the vendor's
 //! forum says that it keeps its speed (topic 3205); a user saw a UR3e's tool become faster inside (topic
-//! 41354). So three rules hold at every corner. The next segment is long enough to brake in: `v^2 <= out^2
-//! + 2 a (length - r)`, where `out` is the speed allowed at its end. The arm enters no segment above that
-//! segment's speed. The vacuum holds the load in the turn, also if the blend begins late. If slowing both
-//! segments takes longer than a stop, the arm stops.
+//! 41354). So three rules hold at every corner. The next segment is long enough to brake in, where `out` is
+//! the speed allowed at its end:
+//!
+//! ```text
+//! v^2 <= out^2 + 2 a (length - r)
+//! ```
+//!
+//! The arm enters no segment above that segment's speed. The vacuum holds the load in the turn, also if the
+//! blend begins late. If slowing both segments takes longer than a stop, the arm stops.
 //!
 //! Not covered: joint acceleration inside a blend of an empty arm, which the controller limits.
 
