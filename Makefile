@@ -148,11 +148,10 @@ DATA := $(or $(CELLD_DATA),../shared/data)
 data:
 	@echo $(abspath $(DATA))
 
-# The whole cells over sockets (cell_*, robot_session) run first, four at a time: most of their time is real
-# time that passes. Beside them what needs no time of its own gets what the cells leave of the processor and
-# no more: what takes its share could hold a heartbeat up, as could what the build has left to be written to
-# the disk. The tests that are left follow the cells, beside the same. Without nextest all run one after the
-# other.
+# First what needs no time of its own, then the whole cells over sockets (cell_*, robot_session), four at a
+# time: most of their time is real time that passes. The rest follows. Nothing runs beside the cells: a test
+# of the lowest priority that held the file system's journal and waited for the processor kept a cell from
+# writing for 15 s. Without nextest all run one after the other.
 #
 # All targets name the whole workspace and the one feature that is not there by default: with fewer crates or
 # features everything is built once more. What a build without the feature says, clippy reads below.
@@ -162,7 +161,6 @@ CELLS := test(/(^|::)cell_/) | test(/^robot_session::/)
 # changes nothing.
 TIMELESS := (test(/^(closed_loop|first_moves|looks|mutants|replay|sights|ways_back)::/) | kind(lib) - package(ur-sim)) \
             - ($(CELLS))
-TIMELESS_LOG := $(BUILD)/timeless.log
 # Those of `make test-clients` and those with the server of `make test-fleet`.
 ELSEWHERE := test(/^third_party::/) | package(cell-fleet) & kind(test)
 
@@ -187,13 +185,10 @@ test: setup tidy
 	  cargo nextest run $(TESTED) --no-run; \
 	  sync; \
 	  echo "cargo nextest run"; \
-	  idle="chrt --idle 0"; $$idle true 2>/dev/null || idle="nice -n 19"; \
-	  { $$idle cargo nextest run $(TESTED) -E '$(TIMELESS) - ($(ELSEWHERE))' >$(TIMELESS_LOG) 2>&1 \
-	    || { cat $(TIMELESS_LOG); exit 1; }; } & beside=$$!; \
-	  failed=0; cargo nextest run $(TESTED) --profile cells --test-threads 4 -E '$(CELLS)' || failed=1; \
+	  failed=0; \
+	  cargo nextest run $(TESTED) -E '$(TIMELESS) - ($(ELSEWHERE))' || failed=1; \
+	  cargo nextest run $(TESTED) --profile cells --test-threads 4 -E '$(CELLS)' || failed=1; \
 	  cargo nextest run $(TESTED) -E 'not ($(ELSEWHERE) | $(CELLS) | $(TIMELESS))' || failed=1; \
-	  wait $$beside || failed=1; \
-	  sed -n '/Summary/,$$p' $(TIMELESS_LOG); \
 	  [ $$failed = 0 ]; \
 	else \
 	  echo "cargo test"; \
