@@ -159,7 +159,7 @@ TESTED := --workspace --features fleet
 CELLS := test(/(^|::)cell_/) | test(/^robot_session::/)
 # The cell in virtual time, and all units but those of the simulator's servers: a long wait for the processor
 # changes nothing.
-TIMELESS := (test(/^(closed_loop|first_moves|looks|mutants|replay|sights|ways_back)::/) | kind(lib) - package(ur-sim)) \
+TIMELESS := (test(/^(closed_loop|first_moves|gripper_box|looks|mutants|replay|sights|ways_back)::/) | kind(lib) - package(ur-sim)) \
             - ($(CELLS))
 # Those of `make test-clients` and those with the server of `make test-fleet`.
 ELSEWHERE := test(/^third_party::/) | package(cell-fleet) & kind(test)

@@ -154,7 +154,7 @@ pub(super) fn request(
 
 /// Gives a command and prints the answer; the exit code.
 pub(super) fn send(state: &StateFolder, command: &Command, stop: &AtomicBool) -> Result<u8, ClientError> {
-    let Reply { accepted, message } = request(state, command, stop)?;
+    let Reply { accepted, message, .. } = request(state, command, stop)?;
     outln!("{message}");
     Ok(if accepted { 0 } else { 1 })
 }

@@ -42,6 +42,7 @@ use cell_edge::files::FileError;
 use cell_edge::priority;
 use cell_edge::terminal::{complain, complain_within};
 use cell_machine::event::Arm;
+use cell_machine::orders::ConfirmedGripper;
 use cell_machine::supervisor::model::CellModel;
 use cell_values::time::Timestamp;
 use cell_vision::camera::CameraModel;
@@ -230,7 +231,7 @@ async fn daemon(begin: Begin, anew: Anew, stop: Arc<AtomicBool>) -> Result<(), S
     let Opened { mut keeper, orders, feed, film } = opened(&begin, name_of(begin.seed), &anew, &stop)?;
     let Begin { config, config_file, calibration, state, seed, .. } = begin;
     let diagnostic_images = state.root().to_path_buf();
-    let confirmed = state.gripper_confirmed(&gripper_address(&config.devices));
+    let confirmed = state.confirmed_gripper(&gripper_address(&config.devices));
     let reception = Reception::open(orders);
     for notice in keeper.notices() {
         tracing::warn!("{notice}");
@@ -250,7 +251,9 @@ async fn daemon(begin: Begin, anew: Anew, stop: Arc<AtomicBool>) -> Result<(), S
     starting.now();
     let measured = measured(&config, &calibration, &arm)?;
     let mut model = cell_model(&config, &measured).map_err(|error| error.to_string())?;
-    model.gripper_confirmed |= confirmed;
+    if model.confirmed == ConfirmedGripper::None {
+        model.confirmed = confirmed;
+    }
     (model.held_before, model.cut_off) = (keeper.held_before(), keeper.cut_off());
     model.plans_before = keeper.plans_before();
     for pose in blocked_poses(&config, &model) {

@@ -313,7 +313,7 @@ mod tests {
                     }
                     std::thread::yield_now();
                 };
-                taken.answer(&Reply { accepted, message: "heard".into() }).unwrap();
+                taken.answer(&Reply { accepted, ..Reply::refuse("heard") }).unwrap();
                 client.join().unwrap()
             });
             assert_eq!(answer.unwrap(), u8::from(!accepted));

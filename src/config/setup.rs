@@ -11,6 +11,7 @@ use cell_calibration::drawn::{CameraMount, Drawn};
 use cell_calibration::files::hand_eye::Mount;
 use cell_machine::device::gripper_types::Channels;
 use cell_machine::event::Arm;
+use cell_machine::orders::ConfirmedGripper;
 use cell_machine::stillness::{LEAST_REST, SIMULATED_LEAST_REST};
 use cell_machine::supervisor::model::{
     CellModel, CellObject, DeviceAddresses, ForeignRule, GripSettings, Tolerances,
@@ -110,7 +111,10 @@ fn model_of(config: &CellConfig, measured: &Measured, objects: Vec<CellObject>) 
     let tolerances = &config.tolerances;
     CellModel {
         addresses: DeviceAddresses { robot, gripper },
-        gripper_confirmed: config.simulation.is_some(),
+        confirmed: match config.simulation {
+            Some(_) => ConfirmedGripper::NotNeeded,
+            None => ConfirmedGripper::None,
+        },
         held_before: None,
         plans_before: 0,
         cut_off: None,

@@ -50,10 +50,19 @@ pub enum Displayed {
     },
 }
 
+/// The device at the other end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Peer {
+    /// The controller.
+    Controller(Link),
+    /// The gripper's box.
+    Gripper,
+}
+
 /// A connection that was made, or why not.
 pub struct Made {
     /// To what.
-    pub link: Link,
+    pub to: Peer,
     /// Which attempt; what an earlier one leads to is dropped.
     pub attempt: u64,
     /// The connection.

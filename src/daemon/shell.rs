@@ -300,7 +300,9 @@ impl Shell {
         for (at, event) in std::mem::take(&mut self.unseen) {
             observer.on(at, Scene::Event(&event));
         }
-        let wait = self.machine.next_wake().since(self.clock.now());
+        let due = self.machine.next_wake();
+        let due = self.sockets.next_wake().map_or(due, |other| due.min(other));
+        let wait = due.since(self.clock.now());
         let first = tokio::select! {
             first = self.messages.recv() => first,
             () = self.sockets.ready() => None,

@@ -14,7 +14,7 @@ use crate::jobs::sources::{Batch, Given, OPEN_AT_THE_END};
 use cell_edge::clock::boot_now_s;
 use cell_edge::files::FileError;
 use cell_machine::intake::{Origin, stale};
-use cell_machine::orders::{Order, Reply};
+use cell_machine::orders::Reply;
 use rearrange::document::chain::chain;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -223,11 +223,7 @@ impl Clerk {
             let written = match letter {
                 Letter::Refused(refused) => refused.answer(),
                 Letter::SignIn(taken) => taken.answer(&self.sign_in(&taken)),
-                Letter::Answer(taken, reply) => {
-                    let order = taken.command.order();
-                    let remember = |order: Order| self.memory.remember(&order, &reply);
-                    taken.answer(&order.map_or_else(|| reply.clone(), remember))
-                }
+                Letter::Answer(taken, reply) => taken.answer(&self.memory.remember(reply)),
             };
             if let Err(error) = written {
                 tracing::warn!(error = %chain(&error), "a command could not be answered");

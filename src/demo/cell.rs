@@ -33,6 +33,7 @@ use std::net::IpAddr;
 use std::path::Path;
 use ur_arm::kinematics::{ARM_MODELS, DhParameters};
 use ur_sim::command::{FOCAL_PX, PICTURE};
+use ur_sim::compute_box::BoxConfig;
 use ur_sim::config::read::DEFAULT_ERRORS;
 use ur_sim::config::{SimFile, SimMount, SimPorts};
 use ur_sim::controller::config::SOFTWARE;
@@ -243,6 +244,7 @@ pub fn sim_file(instance: &Instance, config: &CellConfig, choice: &DemoChoice) -
         safety: SafetyLimits::default(),
         entry_speed: EntrySpeed::default(),
         rest: RestConfig::recorded(),
+        compute_box: BoxConfig::default(),
         program_folder: None,
         programs: ProgramFiles::default(),
         errors: DEFAULT_ERRORS,

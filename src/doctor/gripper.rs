@@ -6,7 +6,9 @@
 //! maker's own service where it runs (reference: ur-interfaces 7.3).
 
 use crate::doctor::{Area, Line};
-use cell_machine::device::gripper_types::{ModbusFailure, VG10, VGC10};
+use cell_machine::device::gripper_types::{GripperFault, Identity, ModbusFailure, VG10, VGC10};
+use cell_machine::orders::ConfirmedGripper;
+use cell_machine::supervisor::gates::{self, GateClosed};
 
 /// What was found at the gripper's address.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,38 +19,19 @@ pub struct GripperFacts {
     pub vacuum: Result<[f64; 2], ModbusFailure>,
     /// The two control registers, where they can be read: mode in the high byte, target in the low one.
     pub control: Option<[u16; 2]>,
-    /// Which product it says it is; `None` where it has no such registers.
-    pub product: Option<Product>,
+    /// What it says of itself.
+    pub identity: Identity,
     /// What the maker's service (XML-RPC, port 41414) says of a VGC10, where it answers, and at which host.
     pub service: Option<(String, Option<bool>)>,
-    /// Why it is taken for the gripper; `None` where no person has said so.
-    pub confirmed: Option<Confirmed>,
+    /// Which gripper a person has confirmed.
+    pub confirmed: ConfirmedGripper,
     /// A celld runs on the state folder, and reads the gripper.
     pub daemon: bool,
 }
 
-/// What the device says of itself.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Product {
-    /// Its code.
-    pub code: u16,
-    /// Firmware, as it stands in its two registers.
-    pub firmware: Option<[u16; 2]>,
-    /// Serial number, as it stands in its registers.
-    pub serial: Option<Vec<u16>>,
-}
-
-/// Modbus exception of a register that is not there.
-const NO_SUCH_REGISTER: u8 = 2;
-
-/// Why what answers is taken for the gripper.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Confirmed {
-    /// A person has said so, for this address.
-    ByPerson,
-    /// The cell is simulated, and no person has to confirm.
-    Simulation,
-}
+const SILENT_HINT: &str = "see that the Compute Box has power and its cable; `devices.gripper` in the \
+                           configuration names its host, port (502) and unit (65 alone on the wrist, 66 or 67 \
+                           on a dual quick changer)";
 
 /// Above this vacuum something hangs on a cup.
 const HANGS: f64 = 0.05;
@@ -65,29 +48,26 @@ impl GripperFacts {
     pub fn lines(&self) -> Vec<Line> {
         let vacuum = match &self.vacuum {
             Ok(vacuum) => *vacuum,
-            Err(ModbusFailure::Exception(NO_SUCH_REGISTER)) => {
-                let found =
-                    format!("{} answers, without the registers of the vacuum (258, 259)", self.address);
-                let hint = "see on the Compute Box's own web page which gripper and which firmware it has: \
-                            older firmware may have the vacuum in other registers, update it";
-                return vec![problem("Modbus", found, hint)];
-            }
             Err(cause) => {
-                let hint = "see that the Compute Box has power and its cable; `devices.gripper` in the \
-                            configuration names its host, port (502) and unit (65 alone on the wrist, 66 or \
-                            67 on a dual quick changer)";
+                let fault = GripperFault::from(cause);
+                let hint = match fault {
+                    GripperFault::Silent => SILENT_HINT,
+                    GripperFault::Taken | GripperFault::Refused | GripperFault::NoVacuum => {
+                        GateClosed::Gripper(fault).hint()
+                    }
+                };
                 return vec![problem("Modbus", format!("{}: {cause}", self.address), hint)];
             }
         };
         let mut lines = vec![Line::ok(Area::Gripper, "Modbus", format!("{} answers", self.address))];
         lines.push(vacuum_line(vacuum));
-        lines.extend(self.product.as_ref().map(product_line));
-        lines.push(self.identity());
+        lines.extend(product_line(&self.identity));
+        lines.push(self.confirmed());
         lines.extend(self.other_master());
         lines
     }
 
-    fn identity(&self) -> Line {
+    fn confirmed(&self) -> Line {
         let said = match &self.service {
             Some((host, Some(true))) => format!("; the maker's service at {host}:41414 finds a VGC10"),
             Some((host, Some(false))) => {
@@ -98,18 +78,22 @@ impl GripperFacts {
             }
             Some((_, None)) | None => String::new(),
         };
-        if let Some(confirmed) = self.confirmed {
-            let by = match confirmed {
-                Confirmed::ByPerson => "confirmed by a person",
-                Confirmed::Simulation => "not needed in a simulation",
-            };
-            return Line::ok(Area::Gripper, "identity", format!("{by}{said}"));
-        }
+        let closed = match gates::confirmed(&self.confirmed, Some(&self.identity)) {
+            Ok(()) if self.confirmed == ConfirmedGripper::NotNeeded => {
+                return Line::ok(Area::Gripper, "identity", format!("not needed in a simulation{said}"));
+            }
+            Ok(()) => return Line::ok(Area::Gripper, "identity", format!("confirmed by a person{said}")),
+            Err(closed) => closed,
+        };
+        let found = match closed {
+            GateClosed::GripperOther => closed.to_string(),
+            _ => "no person has confirmed yet that this is the gripper on the arm".to_string(),
+        };
         problem(
             "identity",
-            format!("no person has confirmed yet that this is the gripper on the arm{said}"),
+            format!("{found}{said}"),
             "see on the Compute Box's own web page (its address in a browser) that it is the one on this \
-             arm, then `celld run` and `celld confirm-gripper`; once for an address",
+             arm, then `celld run` and `celld confirm-gripper`; once for each gripper",
         )
     }
 
@@ -140,29 +124,21 @@ impl GripperFacts {
     }
 }
 
-fn product_line(Product { code, firmware, serial }: &Product) -> Line {
-    let name = match *code {
+/// `None` where it does not say which product it is.
+fn product_line(identity: &Identity) -> Option<Line> {
+    let name = match identity.product? {
         VGC10 => "VGC10",
         VG10 => "VG10",
         other => {
             let found = format!("product code {other:#04x}, which is neither a VGC10 nor a VG10");
-            return problem("product", found, "another product needs another driver");
+            return Some(problem("product", found, "another product needs another driver"));
         }
     };
+    let firmware = identity.firmware;
     let firmware =
         firmware.map_or_else(String::new, |[first, second]| format!(", firmware {first}.{second}"));
-    let serial = serial.as_ref().map_or_else(String::new, |words| format!(", serial {}", serial_text(words)));
-    Line::ok(Area::Gripper, "product", format!("{name}{firmware}{serial}"))
-}
-
-/// A serial number as text where its bytes are one, else in hexadecimal. How the device lays it out is not
-/// published.
-fn serial_text(words: &[u16]) -> String {
-    let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_be_bytes()).filter(|byte| *byte != 0).collect();
-    if !bytes.is_empty() && bytes.iter().all(u8::is_ascii_graphic) {
-        return bytes.iter().copied().map(char::from).collect();
-    }
-    words.iter().map(|word| format!("{word:04x}")).collect()
+    let serial = identity.serial_text().map_or_else(String::new, |text| format!(", serial number {text}"));
+    Some(Line::ok(Area::Gripper, "product", format!("{name}{firmware}{serial}")))
 }
 
 fn vacuum_line(vacuum: [f64; 2]) -> Line {

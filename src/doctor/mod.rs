@@ -118,14 +118,8 @@ impl Line {
 }
 
 /// What `celld arm` would answer.
-pub fn arming(gates: Result<(), GateClosed>, gripper_confirmed: bool) -> Line {
-    let closed = match (gates, gripper_confirmed) {
-        (Ok(()), true) => {
-            return Line::ok(Area::Arming, "`celld arm`", "would be accepted");
-        }
-        (Ok(()), false) => GateClosed::GripperUnconfirmed,
-        (Err(closed), _) => closed,
-    };
+pub fn arming(gates: Result<(), GateClosed>) -> Line {
+    let Err(closed) = gates else { return Line::ok(Area::Arming, "`celld arm`", "would be accepted") };
     Line::problem(Area::Arming, "`celld arm`", format!("would be refused: {closed}"), closed.hint())
 }
 

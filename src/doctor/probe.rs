@@ -19,6 +19,7 @@ use crate::doctor::{Area, Line, Sheet, arming, files};
 use crate::jobs::state::StateFolder;
 use cell_calibration::files::set::CalibrationSet;
 use cell_edge::clock::unix_now_s;
+use cell_machine::device::gripper_types::GripperFault;
 use cell_machine::event::Arm;
 use cell_machine::supervisor::gates;
 use cell_machine::supervisor::input::DeviceSnapshot;
@@ -97,7 +98,10 @@ fn arming_line(robot: &RobotFacts, gripper: &GripperFacts) -> Line {
         arm_settled: true,
         gripper_holds: false,
         gripper_answers: gripper.vacuum.is_ok(),
+        gripper_fault: gripper.vacuum.as_ref().err().map(GripperFault::from).unwrap_or_default(),
+        gripper_identity: Some(gripper.identity),
         vacuum: gripper.vacuum.clone().ok(),
     };
-    arming(gates::arming(&devices), gripper.confirmed.is_some())
+    let confirmed = || gates::confirmed(&gripper.confirmed, Some(&gripper.identity));
+    arming(gates::arming(&devices).and_then(|()| confirmed()))
 }

@@ -2,11 +2,12 @@
 
 use super::camera::{CameraFacts, CameraProblem, PictureFacts, References};
 use super::computer::ComputerFacts;
-use super::gripper::{Confirmed, GripperFacts, Product};
+use super::gripper::GripperFacts;
 use super::robot::{DashboardFacts, LinkFault, PrimaryFacts, RobotFacts, RtdeFacts};
 use super::*;
-use cell_machine::device::gripper_types::ModbusFailure;
+use cell_machine::device::gripper_types::{Identity, ModbusFailure};
 use cell_machine::device::robot_types::InputsTaken;
+use cell_machine::orders::ConfirmedGripper;
 use cell_machine::stillness::Sway;
 use cell_values::time::Duration;
 use cell_vision::observe::reference::{DriftLimits, ReferenceCheck, ReferenceError};
@@ -34,14 +35,17 @@ fn robot() -> RobotFacts {
     }
 }
 
+/// SG12.
+const SERIAL: [u16; 16] = [0x5347, 0x3132, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+
 fn gripper() -> GripperFacts {
     GripperFacts {
         address: "10.0.0.3:502, unit 65".into(),
         vacuum: Ok([0.0, 0.01]),
         control: Some([0, 0]),
-        product: Some(Product { code: 0x11, firmware: Some([1, 2]), serial: Some(vec![0x5347, 0x3132]) }),
+        identity: Identity { product: Some(0x11), firmware: Some([1, 2]), serial: Some(SERIAL) },
         service: None,
-        confirmed: Some(Confirmed::ByPerson),
+        confirmed: ConfirmedGripper::Serial("SG12".into()),
         daemon: false,
     }
 }
@@ -97,7 +101,7 @@ fn only(lines: &[Line], verdict: Verdict, item: &str, words: &str) {
 #[test]
 fn a_sound_cell_has_nothing_missing() {
     let mut lines = [robot().lines(), gripper().lines(), camera().lines(), computer().lines()].concat();
-    lines.push(arming(Ok(()), true));
+    lines.push(arming(Ok(())));
     let sheet = Sheet::new("cell.yaml".into(), 1.8e9, lines);
     assert!(sheet.text().lines().all(|line| line.chars().count() <= COLUMNS), "{}", sheet.text());
     assert!(sheet.ready && sheet.count(Verdict::Note) == 0, "{}", sheet.text());
@@ -159,13 +163,16 @@ fn each_fault_of_the_controller_has_one_line() {
 #[test]
 fn each_fault_of_the_gripper_has_one_line() {
     use Verdict::{Note, Problem};
-    let cases: [Case<GripperFacts>; 9] = [
+    let cases: [Case<GripperFacts>; 12] = [
+        (Problem, "Modbus", "end the other one", |f| f.vacuum = Err(ModbusFailure::Taken)),
+        (Problem, "Modbus", "may still be starting", |f| f.vacuum = Err(ModbusFailure::Refused)),
+        (Problem, "identity", "another gripper", |f| f.confirmed = ConfirmedGripper::Serial("SG13".into())),
         (Problem, "Modbus", "unit", |f| f.vacuum = Err(ModbusFailure::Connection("refused".into()))),
         (Problem, "Modbus", "firmware", |f| f.vacuum = Err(ModbusFailure::Exception(2))),
-        (Problem, "product", "0x20", |f| f.product.as_mut().expect("a product").code = 0x20),
+        (Problem, "product", "0x20", |f| f.identity.product = Some(0x20)),
         (Problem, "vacuum", "celld recover", |f| f.vacuum = Ok([0.4, 0.0])),
         (Problem, "vacuum", "NaN", |f| f.vacuum = Ok([f64::NAN, 0.0])),
-        (Problem, "identity", "celld confirm-gripper", |f| f.confirmed = None),
+        (Problem, "identity", "celld confirm-gripper", |f| f.confirmed = ConfirmedGripper::None),
         (Note, "other master", "channel B", |f| f.control = Some([0, 0x0128])),
         (Note, "other master", "URCap", |f| f.service = Some(("10.0.0.2".into(), None))),
         (Note, "other master", "URCap", |f| f.service = Some(("10.0.0.2".into(), Some(true)))),
@@ -178,8 +185,8 @@ fn each_fault_of_the_gripper_has_one_line() {
     let product = |facts: GripperFacts| {
         facts.lines().into_iter().find(|line| line.item == "product").map(|line| line.found)
     };
-    assert_eq!(product(gripper()).as_deref(), Some("VGC10, firmware 1.2, serial SG12"));
-    assert_eq!(product(GripperFacts { product: None, ..gripper() }), None, "older firmware");
+    assert_eq!(product(gripper()).as_deref(), Some("VGC10, firmware 1.2, serial number SG12"));
+    assert_eq!(product(GripperFacts { identity: Identity::default(), ..gripper() }), None, "older firmware");
     let other = GripperFacts { service: Some(("h".into(), Some(false))), ..gripper() };
     assert!(other.lines().iter().any(|line| line.item == "identity" && line.verdict == Problem));
     let commanded = GripperFacts { control: Some([0x0128, 0]), daemon: true, ..gripper() };
@@ -233,15 +240,15 @@ fn each_fault_of_the_computer_has_one_line() {
 
 #[test]
 fn arming_is_answered_as_the_cell_would() {
-    let refused = arming(Err(GateClosed::Local), true);
+    let refused = arming(Err(GateClosed::Local));
     assert!(refused.verdict == Verdict::Problem && refused.found.contains("remote control is off"));
-    assert!(arming(Ok(()), false).hint.contains("celld confirm-gripper"));
-    assert_eq!(arming(Ok(()), true).verdict, Verdict::Ok);
+    assert!(arming(Err(GateClosed::GripperUnconfirmed)).hint.contains("celld confirm-gripper"));
+    assert_eq!(arming(Ok(())).verdict, Verdict::Ok);
 }
 
 #[test]
 fn a_program_reads_the_same() {
-    let lines = vec![arming(Err(GateClosed::Local), true), Line::ok(Area::Files, "configuration", "sound")];
+    let lines = vec![arming(Err(GateClosed::Local)), Line::ok(Area::Files, "configuration", "sound")];
     let sheet = Sheet::new("cell.yaml".into(), 0.0, lines);
     let json = serde_json::to_value(&sheet).unwrap();
     assert_eq!(json["ready"], false);

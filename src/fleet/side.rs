@@ -282,7 +282,7 @@ impl CellSide for Side {
         }
         tokio::spawn(async move {
             let by = OrderedBy { session: by.clone(), name: by };
-            let Reply { accepted, message } = order_sender.order(order, by).await;
+            let Reply { accepted, message, .. } = order_sender.order(order, by).await;
             // Who requested it may have gone.
             let _ = answer.send((accepted, message));
         });

@@ -250,6 +250,6 @@ fn poll(reply: &Path) -> Result<Option<Reply>, FileError> {
         other => other?.0,
     };
     remove(reply)?;
-    let unreadable = |_| Reply { accepted: false, message: "the daemon's answer is not readable".to_owned() };
+    let unreadable = |_| Reply::refuse("the daemon's answer is not readable");
     Ok(Some(serde_json::from_str(&text).unwrap_or_else(unreadable)))
 }

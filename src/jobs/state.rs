@@ -9,6 +9,7 @@ use cell_edge::file_lock::FileLock;
 use cell_edge::files::{
     FileError, create_folder, create_group_folder, read_regular, remove, remove_drafts, write_atomic,
 };
+use cell_machine::orders::ConfirmedGripper;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -26,6 +27,9 @@ pub struct StateFolder {
 #[derive(Serialize, Deserialize)]
 struct Confirmed {
     address: String,
+    /// Its serial number, if it has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    serial: Option<String>,
     /// When, UTC.
     confirmed: String,
 }
@@ -83,21 +87,34 @@ impl StateFolder {
         self.root.join("gripper.json")
     }
 
-    /// Remembers that a person has confirmed the gripper at `address`.
+    /// Remembers which gripper a person has confirmed, at `address`.
     ///
     /// # Errors
     /// The file cannot be written.
-    pub fn confirm_gripper(&self, address: &str, unix_s: f64) -> Result<(), FileError> {
-        let confirmed = Confirmed { address: address.to_string(), confirmed: utc::text(unix_s) };
+    pub fn confirm_gripper(
+        &self,
+        address: &str,
+        gripper: &ConfirmedGripper,
+        unix_s: f64,
+    ) -> Result<(), FileError> {
+        let serial = match gripper {
+            ConfirmedGripper::Serial(serial) => Some(serial.clone()),
+            ConfirmedGripper::None | ConfirmedGripper::NotNeeded | ConfirmedGripper::AtAddress => None,
+        };
+        let confirmed = Confirmed { address: address.to_string(), serial, confirmed: utc::text(unix_s) };
         let text = serde_json::to_string(&confirmed).expect("text has string keys only");
         write_atomic(&self.gripper(), text.as_bytes())
     }
 
-    /// True where a person has confirmed the gripper at `address`, with which words are compared: another
+    /// Which gripper a person has confirmed. One without a serial number is known by its `address`: another
     /// address or unit is another device. A file that cannot be read confirms nothing.
-    pub fn gripper_confirmed(&self, address: &str) -> bool {
+    pub fn confirmed_gripper(&self, address: &str) -> ConfirmedGripper {
         let text = read_regular(&self.gripper(), 4096).map(|(text, _)| text).unwrap_or_default();
-        serde_json::from_str::<Confirmed>(&text).is_ok_and(|confirmed| confirmed.address == address)
+        match serde_json::from_str::<Confirmed>(&text) {
+            Ok(Confirmed { serial: Some(serial), .. }) => ConfirmedGripper::Serial(serial),
+            Ok(confirmed) if confirmed.address == address => ConfirmedGripper::AtAddress,
+            Ok(_) | Err(_) => ConfirmedGripper::None,
+        }
     }
 
     /// Held by the daemon.
@@ -144,15 +161,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_gripper_is_confirmed_for_its_address_only() {
+    fn a_gripper_is_known_by_its_serial_number_and_without_one_by_its_address() {
         let folder = tempfile::tempdir().unwrap();
         let state = StateFolder::new(folder.path());
         let (one, other) = ("10.0.0.3:502, unit 65", "10.0.0.3:502, unit 66");
-        assert!(!state.gripper_confirmed(one));
-        state.confirm_gripper(one, 1.8e9).unwrap();
-        assert!(state.gripper_confirmed(one) && !state.gripper_confirmed(other));
+        assert_eq!(state.confirmed_gripper(one), ConfirmedGripper::None);
+        state.confirm_gripper(one, &ConfirmedGripper::AtAddress, 1.8e9).unwrap();
+        assert_eq!(state.confirmed_gripper(one), ConfirmedGripper::AtAddress);
+        assert_eq!(state.confirmed_gripper(other), ConfirmedGripper::None);
+        let serial = ConfirmedGripper::Serial("VG-0815".into());
+        state.confirm_gripper(one, &serial, 1.8e9).unwrap();
+        assert_eq!([one, other].map(|address| state.confirmed_gripper(address)), [serial.clone(), serial]);
         std::fs::write(state.gripper(), "{").unwrap();
-        assert!(!state.gripper_confirmed(one));
+        assert_eq!(state.confirmed_gripper(one), ConfirmedGripper::None);
     }
 
     #[test]

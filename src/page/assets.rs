@@ -177,6 +177,7 @@ mod tests {
 
     /// Every closed gate: its hint is in the status.
     fn hints() -> Vec<GateClosed> {
+        use cell_machine::device::gripper_types::GripperFault;
         use cell_machine::device::robot_types::Link;
         use ur_wire::enumerations::{RobotMode, SafetyMode};
         let safety = [
@@ -198,7 +199,12 @@ mod tests {
             GateClosed::NotPlaying("STOPPED".into()),
             GateClosed::Disarmed,
             GateClosed::Locked(String::new()),
-            GateClosed::Gripper,
+            GateClosed::Gripper(GripperFault::Silent),
+            GateClosed::Gripper(GripperFault::Taken),
+            GateClosed::Gripper(GripperFault::Refused),
+            GateClosed::Gripper(GripperFault::NoVacuum),
+            GateClosed::GripperUnknown,
+            GateClosed::GripperOther,
             GateClosed::GripperUnconfirmed,
             GateClosed::Holding,
             GateClosed::MayHang("mug".into()),

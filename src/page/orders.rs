@@ -115,9 +115,9 @@ impl Orders for PageOrders {
             tracing::warn!(?order, by, "order refused: {}", reply.message);
         }
         let (memory, reply) = (self.memory.clone(), reply.clone());
-        if GripperMemory::concerns(&order, &reply) {
+        if reply.confirmed.is_some() {
             // The disk may take its time: the next order does not wait for it.
-            std::thread::spawn(move || answer_all(answers, &memory.remember(&order, &reply)));
+            std::thread::spawn(move || answer_all(answers, &memory.remember(reply)));
         } else {
             answer_all(answers, &reply);
         }
@@ -149,6 +149,7 @@ mod tests {
     use super::*;
     use crate::jobs::order_queue::QUEUE;
     use crate::jobs::state::StateFolder;
+    use cell_machine::orders::ConfirmedGripper;
 
     fn page() -> (tempfile::TempDir, OrderSender, PageOrders) {
         let folder = tempfile::tempdir().unwrap();
@@ -186,9 +187,12 @@ mod tests {
 
         let requested = give(&order_sender, Order::ConfirmGripper, "1");
         let given = taken(&mut orders, 1).await.remove(0);
-        orders.reply(given.number, &Reply::accept("confirmed"));
-        assert_eq!(requested.await.unwrap(), Reply::accept("confirmed"));
-        assert!(StateFolder::new(folder.path()).gripper_confirmed("gripper:502"), "read back from the disk");
+        let gripper = ConfirmedGripper::Serial("VG-0815".into());
+        let reply = Reply { confirmed: Some(gripper.clone()), ..Reply::accept("confirmed") };
+        orders.reply(given.number, &reply);
+        assert_eq!(requested.await.unwrap(), reply);
+        let kept = StateFolder::new(folder.path()).confirmed_gripper("gripper:502");
+        assert_eq!(kept, gripper, "read back from the disk");
     }
 
     #[tokio::test]

@@ -16,7 +16,6 @@ pub mod disk;
 pub mod endurance;
 pub mod hands;
 pub mod mirror;
-pub mod modbus;
 pub mod network;
 pub mod operator;
 pub mod orders;

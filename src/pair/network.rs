@@ -6,10 +6,11 @@
 //! ms). A cut cable is silence in both directions that goes on where it was when the fault ends, as TCP
 //! does; a reset ends a connection for both sides.
 
-use crate::pair::modbus::{Answer, Master};
-use cell_machine::device::gripper_types::{ModbusFailure, ModbusRequest};
+use cell_machine::device::gripper_types::{ModbusRequest, UNIT};
+use cell_machine::device::modbus::master::{Action, Ending, Master};
 use cell_machine::device::robot_types::Link;
 use cell_machine::event::Event;
+use cell_values::time::Timestamp;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
@@ -18,9 +19,6 @@ use ur_sim::faults::link::LinkState;
 use ur_sim::motion::FRAME_SECONDS;
 use ur_sim::session::Port;
 use ur_sim::simulator::{ConnectionId, Simulator, Transmission};
-
-/// Frames after which a register transaction without an answer has failed (1 s).
-const ANSWER_WITHIN: u64 = 500;
 
 /// How the network behaves without faults.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,6 +36,8 @@ impl Weather {
 
 struct Line {
     port: Port,
+    /// Which connection of the gripper's master it carries.
+    number: Option<u64>,
     id: Option<ConnectionId>,
     /// A request to connect that is answered in this frame.
     connecting: Option<u64>,
@@ -49,14 +49,28 @@ struct Line {
     sent: u64,
 }
 
-/// All connections. See the module.
+/// What has become of a line.
+enum Happened {
+    Connected,
+    Ended(Ending),
+}
+
+/// All connections: three to the controller, two to the gripper, as an old one may not be given up yet
+/// when a new one is made. See the module.
 pub struct Network {
-    lines: [Line; 4],
+    lines: [Line; 5],
     rng: ChaCha8Rng,
     weather: Weather,
     master: Master,
-    /// The transaction under way, and until when it is waited for.
-    transaction: Option<(ModbusRequest, u64)>,
+    /// Answers of the gripper for the next step.
+    answers: Vec<Event>,
+}
+
+/// Lines of the gripper.
+const GRIPPER: [usize; 2] = [3, 4];
+
+fn time_of(frame: u64) -> Timestamp {
+    Timestamp::from_nanos(frame * 2_000_000)
 }
 
 fn port_of(link: Link) -> Port {
@@ -76,6 +90,7 @@ impl Network {
     pub fn new(simulator: &Simulator, seed: u64, weather: Weather) -> Network {
         let line = |port: Port| Line {
             port,
+            number: None,
             id: None,
             connecting: None,
             to_sim: VecDeque::new(),
@@ -85,92 +100,152 @@ impl Network {
             sent: 0,
         };
         Network {
-            lines: [Port::Rtde, Port::Dashboard, Port::Primary, Port::Gripper].map(line),
+            lines: [Port::Rtde, Port::Dashboard, Port::Primary, Port::Gripper, Port::Gripper].map(line),
             rng: ChaCha8Rng::seed_from_u64(seed ^ 0x6e65_7477),
             weather,
-            master: Master::default(),
-            transaction: None,
+            master: Master::new(UNIT),
+            answers: Vec::new(),
         }
     }
 
-    fn line(&mut self, port: Port) -> &mut Line {
-        let [rtde, dashboard, primary, gripper] = &mut self.lines;
-        match port {
-            Port::Rtde => rtde,
-            Port::Dashboard => dashboard,
-            Port::Primary | Port::Secondary | Port::Realtime | Port::Interpreter => primary,
-            Port::PrimaryReadOnly | Port::SecondaryReadOnly | Port::RealtimeReadOnly => primary,
-            Port::Gripper | Port::Robotiq | Port::ToolSerial | Port::Modbus => gripper,
+    fn line(&mut self, link: Link) -> &mut Line {
+        let [rtde, dashboard, primary, ..] = &mut self.lines;
+        match link {
+            Link::Rtde => rtde,
+            Link::Dashboard => dashboard,
+            Link::Primary => primary,
         }
+    }
+
+    /// The line that carries a connection of the gripper's master.
+    fn gripper(&mut self, number: u64) -> Option<&mut Line> {
+        self.lines.iter_mut().find(|line| line.number == Some(number))
     }
 
     /// The machine wants a connection.
     pub fn connect(&mut self, frame: u64, link: Link) {
-        self.line(port_of(link)).connecting = Some(frame + 1);
+        self.line(link).connecting = Some(frame + 1);
     }
 
     /// The machine drops a connection.
     pub fn close(&mut self, simulator: &mut Simulator, link: Link) {
-        self.line(port_of(link)).drop_connection(simulator);
+        self.line(link).drop_connection(simulator);
     }
 
     /// The machine's process is gone, and its sockets with it.
     pub fn close_all(&mut self, simulator: &mut Simulator) {
         self.lines.iter_mut().for_each(|line| line.drop_connection(simulator));
-        self.transaction = None;
+        self.master = Master::new(UNIT);
+        self.answers.clear();
     }
 
     /// The machine sends.
     pub fn send(&mut self, frame: u64, link: Link, bytes: Vec<u8>) {
-        self.put(frame, port_of(link), bytes);
+        let (late, cut) = self.by_weather(&bytes);
+        self.line(link).queue_for_sim(frame + 1 + late, bytes, cut);
     }
 
     /// The machine begins a register transaction.
     pub fn transact(&mut self, frame: u64, simulator: &mut Simulator, request: ModbusRequest) {
-        if self.line(Port::Gripper).id.is_none() {
-            self.master = Master::default();
-            let line = self.line(Port::Gripper);
-            line.id = simulator.connect(Port::Gripper);
-            line.sent = 0;
-        }
-        let bytes = self.master.request(&request);
-        self.transaction = Some((request, frame + ANSWER_WITHIN));
-        self.put(frame, Port::Gripper, bytes);
+        self.master.request(time_of(frame), request);
+        self.act(frame, simulator);
     }
 
-    /// Queues bytes for the simulator, whole or in two pieces.
-    fn put(&mut self, frame: u64, port: Port, bytes: Vec<u8>) {
-        let late = u64::from(self.rng.random_bool(self.weather.late));
-        let cut = (bytes.len() > 1 && self.rng.random_bool(self.weather.split))
-            .then(|| self.rng.random_range(1..bytes.len()));
-        let line = self.line(port);
-        let due = (frame + 1 + late).max(line.to_sim.back().map_or(0, |(due, _)| *due));
-        match cut {
-            Some(at) => {
-                line.to_sim.push_back((due, bytes[..at].to_vec()));
-                line.to_sim.push_back((due + 1, bytes[at..].to_vec()));
+    /// Does what the gripper's master decides.
+    fn act(&mut self, frame: u64, simulator: &mut Simulator) {
+        while let Some(action) = self.master.poll_action() {
+            match action {
+                Action::Connect(number) => {
+                    // There are two: the master has one connection, and one attempt, at most.
+                    let free = GRIPPER.into_iter().find(|index| self.lines[*index].number.is_none());
+                    if let Some(index) = free {
+                        let line = &mut self.lines[index];
+                        (line.number, line.connecting) = (Some(number), Some(frame + 1));
+                    }
+                }
+                Action::Send(number, bytes) => {
+                    let (late, cut) = self.by_weather(&bytes);
+                    if let Some(line) = self.gripper(number) {
+                        line.queue_for_sim(frame + 1 + late, bytes, cut);
+                    }
+                }
+                Action::Reset(number) => {
+                    if let Some(line) = self.gripper(number) {
+                        line.drop_connection(simulator);
+                    }
+                }
             }
-            None => line.to_sim.push_back((due, bytes)),
         }
+        let results = std::iter::from_fn(|| self.master.poll_result());
+        self.answers.extend(results.map(Event::Registers));
+    }
+
+    /// Frames that bytes are late, and where they are cut.
+    fn by_weather(&mut self, bytes: &[u8]) -> (u64, Option<usize>) {
+        let late = u64::from(self.rng.random_bool(self.weather.late));
+        let cut = bytes.len() > 1 && self.rng.random_bool(self.weather.split);
+        (late, cut.then(|| self.rng.random_range(1..bytes.len())))
     }
 
     /// What reaches either side in this frame.
     pub fn step(&mut self, frame: u64, simulator: &mut Simulator, events: &mut Vec<Event>) {
-        for line in &mut self.lines {
-            line.follow_faults(simulator, events);
-            line.answer_connect(frame, simulator, events);
+        events.append(&mut self.answers);
+        for index in 0..self.lines.len() {
+            let line = &mut self.lines[index];
+            let ended = line.follow_faults(simulator);
+            let made = line.answer_connect(frame, simulator);
             line.deliver_to_sim(frame, simulator);
+            for happened in ended.into_iter().chain(made) {
+                self.happened(frame, simulator, index, happened, events);
+            }
         }
         self.take_transmissions(frame, simulator, events);
         for index in 0..self.lines.len() {
             while let Some(bytes) = self.lines[index].arrived(frame) {
-                match link_of(self.lines[index].port) {
-                    Some(link) => events.push(Event::Received(link, bytes)),
-                    None => self.take_registers(simulator, &bytes, events),
+                match (link_of(self.lines[index].port), self.lines[index].number) {
+                    (Some(link), _) => events.push(Event::Received(link, bytes)),
+                    (None, Some(number)) => self.master.received(time_of(frame), number, &bytes),
+                    (None, None) => {}
                 }
             }
         }
-        self.check_transaction(frame, simulator, events);
+        self.master.tick(time_of(frame));
+        self.act(frame, simulator);
+        events.append(&mut self.answers);
+    }
+
+    /// Passes it on to the machine, or to the gripper's master.
+    fn happened(
+        &mut self,
+        frame: u64,
+        simulator: &mut Simulator,
+        index: usize,
+        happened: Happened,
+        events: &mut Vec<Event>,
+    ) {
+        let line = &mut self.lines[index];
+        if let Some(link) = link_of(line.port) {
+            events.push(match happened {
+                Happened::Connected => Event::Connected(link),
+                Happened::Ended(Ending::Refused) => {
+                    Event::Disconnected(link, "connection refused".to_string())
+                }
+                Happened::Ended(Ending::Closed) => {
+                    Event::Disconnected(link, "the controller closed the connection".to_string())
+                }
+                Happened::Ended(Ending::Other(words)) => Event::Disconnected(link, words),
+            });
+            return;
+        }
+        let (now, Some(number)) = (time_of(frame), line.number) else { return };
+        match happened {
+            Happened::Connected => self.master.connected(now, number),
+            Happened::Ended(ending) => {
+                line.number = None;
+                self.master.closed(now, number, ending);
+            }
+        }
+        self.act(frame, simulator);
     }
 
     fn take_transmissions(&mut self, frame: u64, simulator: &mut Simulator, events: &mut Vec<Event>) {
@@ -181,51 +256,16 @@ impl Network {
             };
             let late = u64::from(self.rng.random_bool(self.weather.late));
             let split = self.rng.random_bool(self.weather.split);
-            let Some(line) = self.lines.iter_mut().find(|line| line.id == Some(id)) else { continue };
+            let Some(index) = self.lines.iter().position(|line| line.id == Some(id)) else { continue };
+            let line = &mut self.lines[index];
             let over = match bytes {
                 Some(bytes) => !line.queue_for_cell(frame + late, bytes, split),
                 None => true,
             };
-            if over {
-                line.break_off(simulator, "the controller closed the connection", events);
+            if over && let Some(happened) = line.break_off(simulator, Ending::Closed) {
+                self.happened(frame, simulator, index, happened, events);
             }
         }
-    }
-
-    fn take_registers(&mut self, simulator: &mut Simulator, bytes: &[u8], events: &mut Vec<Event>) {
-        let Some((request, _)) = &self.transaction else { return };
-        let answer = match self.master.received(request, bytes) {
-            Answer::Incomplete => return,
-            Answer::Words(words) => Ok(words),
-            Answer::Exception(code) => Err(ModbusFailure::Exception(code)),
-            Answer::Wrong(why) => Err(ModbusFailure::Malformed(why)),
-        };
-        self.finish_transaction(simulator, answer, events);
-    }
-
-    fn check_transaction(&mut self, frame: u64, simulator: &mut Simulator, events: &mut Vec<Event>) {
-        let Some((_, deadline)) = &self.transaction else { return };
-        let gone = self.lines[3].id.is_none();
-        if gone {
-            let failure = ModbusFailure::Connection("connection refused or reset".to_string());
-            self.finish_transaction(simulator, Err(failure), events);
-        } else if frame >= *deadline {
-            self.finish_transaction(simulator, Err(ModbusFailure::Timeout), events);
-        }
-    }
-
-    fn finish_transaction(
-        &mut self,
-        simulator: &mut Simulator,
-        answer: Result<Vec<u16>, ModbusFailure>,
-        events: &mut Vec<Event>,
-    ) {
-        self.transaction = None;
-        // After a failure the answer to an old request could be taken for that to a new one.
-        if answer.is_err() {
-            self.lines[3].drop_connection(simulator);
-        }
-        events.push(Event::Registers(answer));
     }
 }
 
@@ -234,43 +274,59 @@ impl Line {
         if let Some(id) = self.id.take() {
             simulator.hang_up(id);
         }
+        self.number = None;
         self.connecting = None;
         self.to_sim.clear();
         self.to_cell.clear();
     }
 
-    fn break_off(&mut self, simulator: &mut Simulator, reason: &str, events: &mut Vec<Event>) {
-        if self.id.is_some() {
-            self.drop_connection(simulator);
-            events.extend(link_of(self.port).map(|link| Event::Disconnected(link, reason.to_string())));
-        }
+    /// The connection ends, if there is one.
+    fn break_off(&mut self, simulator: &mut Simulator, ending: Ending) -> Option<Happened> {
+        self.id?;
+        let number = self.number;
+        self.drop_connection(simulator);
+        self.number = number;
+        Some(Happened::Ended(ending))
     }
 
     /// The simulator's faults of this server.
-    fn follow_faults(&mut self, simulator: &mut Simulator, events: &mut Vec<Event>) {
+    fn follow_faults(&mut self, simulator: &mut Simulator) -> Option<Happened> {
         if !self.watch.has_changed().unwrap_or(false) {
-            return;
+            return None;
         }
         let state = self.watch.borrow_and_update().clone();
         let reset = state.resets != self.state.resets || (state.down && !self.state.down);
         self.state = state;
-        if reset {
-            self.break_off(simulator, "connection reset by peer", events);
-        }
+        let ending = match self.port {
+            Port::Gripper => Ending::Closed,
+            _ => Ending::Other("connection reset by peer".to_string()),
+        };
+        reset.then(|| self.break_off(simulator, ending)).flatten()
     }
 
-    fn answer_connect(&mut self, frame: u64, simulator: &mut Simulator, events: &mut Vec<Event>) {
+    fn answer_connect(&mut self, frame: u64, simulator: &mut Simulator) -> Option<Happened> {
         if self.state.silent || self.connecting.is_none_or(|due| frame < due) {
-            return;
+            return None;
         }
         self.connecting = None;
-        let Some(link) = link_of(self.port) else { return };
         self.id = simulator.connect(self.port);
         self.sent = 0;
-        events.push(match self.id {
-            Some(_) => Event::Connected(link),
-            None => Event::Disconnected(link, "connection refused".to_string()),
-        });
+        Some(match self.id {
+            Some(_) => Happened::Connected,
+            None => Happened::Ended(Ending::Refused),
+        })
+    }
+
+    /// Bytes for the simulator, whole or cut in two.
+    fn queue_for_sim(&mut self, due: u64, bytes: Vec<u8>, cut: Option<usize>) {
+        let due = due.max(self.to_sim.back().map_or(0, |(due, _)| *due));
+        match cut {
+            Some(at) => {
+                self.to_sim.push_back((due, bytes[..at].to_vec()));
+                self.to_sim.push_back((due + 1, bytes[at..].to_vec()));
+            }
+            None => self.to_sim.push_back((due, bytes)),
+        }
     }
 
     fn deliver_to_sim(&mut self, frame: u64, simulator: &mut Simulator) {

@@ -14,6 +14,7 @@ use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use ur_sim::cell::{RunningSim, start};
+use ur_sim::compute_box::SecondClient;
 
 #[allow(dead_code, reason = "the fuzzers' binaries use more of it")]
 #[path = "../../fuzz/targets.rs"]
@@ -90,6 +91,8 @@ fn nonsense(request: &[u8], rng: &mut impl RngExt) -> Vec<Vec<u8>> {
 async fn every_port_survives_bad_clients_and_serves_a_good_one() {
     let mut config = config(true);
     config.control_port = Some(0);
+    // A client that never reads would keep the only place there.
+    config.world.gripper.clients.second = SecondClient::Evicts;
     let sim = start(config).await.unwrap();
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(7);
     let mut silent = Vec::new();

@@ -13,6 +13,7 @@ mod doctor;
 mod edit;
 mod faults;
 mod first_moves;
+mod gripper_box;
 mod journal_repair;
 mod kills;
 mod looks;

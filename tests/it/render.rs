@@ -13,6 +13,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
+use ur_sim::compute_box::BoxConfig;
 use ur_sim::render::Renderer;
 use ur_sim::render::lens::CameraTruth;
 use ur_sim::render::scene::look_at;
@@ -66,6 +67,7 @@ fn the_simulated_lens_agrees_with_opencv() {
 fn gripper() -> GripperSpec {
     GripperSpec {
         drive: Drive::Vgc10,
+        clients: BoxConfig::default(),
         flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
         cups: vec![Cup { channel: Channel::A, x_m: 0.0, y_m: 0.0, diameter_m: 0.02 }],
         body: Footprint::rectangle(0.07, 0.07).unwrap(),

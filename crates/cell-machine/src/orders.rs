@@ -4,6 +4,7 @@
 //! decided; the machine gives it after the decision, never before.
 
 pub use crate::device::gripper_types::Channels;
+use crate::device::gripper_types::Identity;
 use rearrange::document::word::{UnknownWord, named};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -240,6 +241,28 @@ impl FromStr for Approval {
     }
 }
 
+/// Which gripper a person has confirmed to be the one on this arm. That the device says which product it is
+/// does not prove that.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+pub enum ConfirmedGripper {
+    /// None yet.
+    #[default]
+    None,
+    /// The cell is simulated: no person is needed.
+    NotNeeded,
+    /// The one at the address, which has no serial number.
+    AtAddress,
+    /// The one with this serial number, at whichever address.
+    Serial(String),
+}
+
+impl ConfirmedGripper {
+    /// The gripper that answers, as a person confirms it.
+    pub fn of(identity: &Identity) -> ConfirmedGripper {
+        identity.serial_text().map_or(ConfirmedGripper::AtAddress, ConfirmedGripper::Serial)
+    }
+}
+
 /// The answer to an order.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Reply {
@@ -247,17 +270,20 @@ pub struct Reply {
     pub accepted: bool,
     /// One sentence: what happens, or why not and what to do instead.
     pub message: String,
+    /// The gripper that a person has confirmed by the order, to be remembered; never sent to clients.
+    #[serde(skip)]
+    pub confirmed: Option<ConfirmedGripper>,
 }
 
 impl Reply {
     /// It is done.
     pub fn accept(message: impl Into<String>) -> Reply {
-        Reply { accepted: true, message: message.into() }
+        Reply { accepted: true, message: message.into(), confirmed: None }
     }
 
     /// It is not.
     pub fn refuse(message: impl Into<String>) -> Reply {
-        Reply { accepted: false, message: message.into() }
+        Reply { accepted: false, message: message.into(), confirmed: None }
     }
 }
 

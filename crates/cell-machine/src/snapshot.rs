@@ -33,6 +33,8 @@ pub fn snapshot<'a>(now: Timestamp, sessions: &Sessions<'a>, gripper_answers: bo
         arm_settled: robot.arm_settled(),
         gripper_holds: gripper.holding(),
         gripper_answers,
+        gripper_fault: sessions.gripper.fault().unwrap_or_default(),
+        gripper_identity: sessions.gripper.identity(),
         vacuum: gripper.reading().filter(|(at, _)| now.since(*at) <= VACUUM_AGE).map(|(_, v)| v),
     }
 }

@@ -325,12 +325,12 @@ mod tests {
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-    async fn forgotten_connections_shut_out_no_other_client_of_gripper_and_control_server() {
+    async fn forgotten_connections_shut_out_no_other_client_of_dashboard_and_control_server() {
         let sim = start(config("127.0.0.1", 1.0)).await.unwrap();
         let control = sim.addresses.control.unwrap();
         let mut forgotten = Vec::new();
         for _ in 0..3 * MAX_CONNECTIONS {
-            for address in [sim.addresses.modbus, control] {
+            for address in [sim.addresses.robot.dashboard, control] {
                 forgotten.push(tokio::net::TcpStream::connect(address).await.unwrap());
             }
         }
@@ -341,9 +341,7 @@ mod tests {
             stream.read_exact(&mut answer).await.unwrap();
             answer
         };
-        // The vacuum of channel A of unit 65.
-        let vacuum = [0, 1, 0, 0, 0, 6, 65, 3, 1, 2, 0, 1];
-        assert_eq!(request(sim.addresses.modbus, &vacuum, 11).await[..9], [0, 1, 0, 0, 0, 5, 65, 3, 2]);
+        assert_eq!(request(sim.addresses.robot.dashboard, b"robotmode\n", 9).await, b"Connected");
         let world = b"GET /world.json HTTP/1.1\r\nHost: sim\r\n\r\n";
         assert_eq!(request(control, world, 15).await, b"HTTP/1.1 200 OK");
         sim.shutdown().await;

@@ -5,6 +5,7 @@
 //! `errors` say how far, by seed, the simulated truth deviates from them.
 
 pub mod blend;
+pub mod compute_box;
 pub mod conveyors;
 pub mod gripper;
 pub mod load;
@@ -14,6 +15,7 @@ pub mod rest;
 pub mod safety;
 pub mod software;
 
+use crate::compute_box::BoxConfig;
 use crate::config::conveyors::ConveyorConfig;
 use crate::controller::modes::Control;
 use crate::controller::program_files::ProgramFiles;
@@ -77,6 +79,8 @@ pub struct SimFile {
     pub entry_speed: EntrySpeed,
     /// How its joints come to rest.
     pub rest: RestConfig,
+    /// How the gripper's box treats its clients.
+    pub compute_box: BoxConfig,
     /// Joint pose at power-on.
     pub start_pose: Joints,
     /// Folder with the scripts that the dashboard loads, relative to the file's own; absent: none.

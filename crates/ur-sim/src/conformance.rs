@@ -316,6 +316,12 @@ const CELL: &[Claim] = &[
         "pins_suck_blow_off_and_report_the_part",
     ),
     Claim(
+        "Compute Box: one Modbus client at a time",
+        Grade::Modelled,
+        "assumed: what becomes of a second one, and how long the place of one is kept whose cable was pulled",
+        "a_second_client_is_turned_away_until_the_first_has_gone",
+    ),
+    Claim(
         "VGC10 on the tool's serial line (Modbus RTU through port 54321)",
         Grade::Modelled,
         "the Compute Box's registers; assumed: even parity, one stop bit, 1,000,000 or 115,200 baud, silence to \

@@ -4,6 +4,7 @@
 //! a client's request waits for no more than it concerns. Nothing here opens a socket or starts a thread:
 //! time is the number of calls.
 
+use crate::compute_box::{ComputeBox, SharedBox};
 use crate::controller::Controller;
 use crate::faults::injector::FaultInjector;
 use crate::motion::FRAME_SECONDS;
@@ -25,6 +26,8 @@ pub struct Core {
     pub robot: Arc<RobotShared>,
     /// The table, the objects, the gripper.
     pub world: SharedWorld,
+    /// Whom the gripper's box serves.
+    pub compute_box: SharedBox,
     /// Faults planned and in force.
     pub injector: Arc<FaultInjector>,
 }
@@ -42,9 +45,10 @@ impl Core {
     pub fn new(controller: Controller, mut world: World, factor: f64) -> Core {
         world.set_conveyors(controller.core.config.belts.clone());
         let robot = RobotShared::new(controller);
+        let compute_box = Arc::new(Mutex::new(ComputeBox::new(world.box_config())));
         let world: SharedWorld = Arc::new(Mutex::new(world));
         let injector = Arc::new(FaultInjector::new(robot.clone(), world.clone(), factor));
-        let core = Core { robot, world, injector };
+        let core = Core { robot, world, compute_box, injector };
         core.step_world();
         core
     }

@@ -10,6 +10,8 @@ pub mod command;
 
 pub mod compare;
 
+pub mod compute_box;
+
 pub mod config;
 
 pub mod conformance;

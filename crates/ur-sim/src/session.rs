@@ -6,6 +6,7 @@
 //! first what is in the inlet, then the answers, and reports that they are on their way
 //! ([`Session::answered`]).
 
+use crate::compute_box;
 use crate::core::Core;
 use crate::faults::link::LinkName;
 use crate::gripper_server;
@@ -120,9 +121,48 @@ enum Kind {
     Script(script_ports::Session),
     Interpreter(interpreter::Session),
     Modbus(modbus::Session),
-    Gripper(gripper_server::Session),
+    Gripper(gripper_server::Session, BoxClient),
     Robotiq(robotiq_server::Session),
     ToolSerial(tool_serial_server::Session),
+}
+
+/// A client of the gripper's box.
+struct BoxClient {
+    /// `None` where the hand has another gripper: its port serves whoever comes.
+    number: Option<u64>,
+    /// How often the cable was pulled before the last bytes of the client.
+    silences: u64,
+}
+
+impl BoxClient {
+    fn enter(core: &Core, line: &Line) -> BoxClient {
+        let (now_s, has_box) = {
+            let world = lock(&core.world);
+            (world.now_s(), world.has_compute_box())
+        };
+        let number = has_box.then(|| compute_box::lock(&core.compute_box).enter(now_s, line));
+        BoxClient { number, silences: silences(core) }
+    }
+
+    fn is_served(&self, core: &Core) -> bool {
+        self.number.is_none_or(|number| compute_box::lock(&core.compute_box).serves(number))
+    }
+
+    fn heard(&mut self, core: &Core) {
+        self.silences = silences(core);
+    }
+
+    /// Its connection is gone. If the cable was pulled after its last bytes, the box has not noticed.
+    fn leave(self, core: &Core) {
+        let Some(number) = self.number else { return };
+        let now_s = lock(&core.world).now_s();
+        compute_box::lock(&core.compute_box).leave(now_s, number, silences(core) != self.silences);
+    }
+}
+
+/// How often the cable of the gripper's box was pulled.
+fn silences(core: &Core) -> u64 {
+    core.robot.links.get(LinkName::Gripper).silences()
 }
 
 /// One connection.
@@ -159,7 +199,10 @@ impl Session {
             Port::RealtimeReadOnly => script(Feed::Realtime, true),
             Port::Interpreter => (Kind::Interpreter(interpreter::Session::default()), Line::open(None).1),
             Port::Modbus => (Kind::Modbus(modbus::Session::default()), Line::open(None).1),
-            Port::Gripper => (Kind::Gripper(gripper_server::Session::default()), Line::open(None).1),
+            Port::Gripper => {
+                let (line, inlet) = Line::open(None);
+                (Kind::Gripper(gripper_server::Session::default(), BoxClient::enter(core, &line)), inlet)
+            }
             Port::Robotiq => (Kind::Robotiq(robotiq_server::Session::default()), Line::open(None).1),
             Port::ToolSerial => {
                 (Kind::ToolSerial(tool_serial_server::Session::default()), Line::open(None).1)
@@ -187,7 +230,9 @@ impl Session {
             Kind::Modbus(session) => {
                 session.receive(robot, bytes).map(|answers| Outcome::one(answers, false))
             }
-            Kind::Gripper(session) => {
+            Kind::Gripper(_, client) if !client.is_served(core) => return Outcome::NONSENSE,
+            Kind::Gripper(session, client) => {
+                client.heard(core);
                 let faults = robot.links.get(self.port.link()).state();
                 session
                     .receive(&mut lock(&core.world), &faults, bytes)
@@ -225,7 +270,8 @@ impl Session {
             Kind::Rtde(session) => session.id(),
             Kind::Script(session) => session.id(),
             Kind::Dashboard(_) | Kind::Interpreter(_) | Kind::Modbus(_) => return true,
-            Kind::Gripper(_) | Kind::Robotiq(_) | Kind::ToolSerial(_) => return true,
+            Kind::Gripper(_, client) => return client.is_served(core),
+            Kind::Robotiq(_) | Kind::ToolSerial(_) => return true,
         };
         core.robot.publisher().is_open(id)
     }
@@ -236,7 +282,8 @@ impl Session {
             Kind::Rtde(session) => session.close(&core.robot),
             Kind::Script(session) => session.close(&core.robot),
             Kind::Dashboard(_) | Kind::Interpreter(_) | Kind::Modbus(_) => {}
-            Kind::Gripper(_) | Kind::Robotiq(_) | Kind::ToolSerial(_) => {}
+            Kind::Gripper(_, client) => client.leave(core),
+            Kind::Robotiq(_) | Kind::ToolSerial(_) => {}
         }
     }
 }

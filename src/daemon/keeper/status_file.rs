@@ -9,6 +9,7 @@ use crate::jobs::status;
 use cell_edge::clock::unix_now_s;
 use cell_edge::files::remove;
 use cell_machine::intake::HELD_UP_AFTER;
+use cell_machine::orders::ConfirmedGripper;
 use cell_machine::supervisor::status::{Device, DeviceNote, Doing, Status};
 use cell_values::time::Duration;
 use rearrange::document::chain::chain;
@@ -96,9 +97,14 @@ impl StateKeeper {
             Device::Robot => (devices.robot_host.clone(), self.identities.robot.clone()),
             Device::Gripper => {
                 let address = gripper_address(devices);
-                let confirmed = self.state.gripper_confirmed(&address);
-                let identity = if confirmed { "confirmed by a person" } else { "" };
-                (address, identity.to_string())
+                let identity = match self.state.confirmed_gripper(&address) {
+                    ConfirmedGripper::Serial(serial) => {
+                        format!("a person confirmed serial number {serial}")
+                    }
+                    ConfirmedGripper::AtAddress => "confirmed by a person".to_string(),
+                    ConfirmedGripper::None | ConfirmedGripper::NotNeeded => String::new(),
+                };
+                (address, identity)
             }
             Device::Camera => (devices.camera.address(), self.identities.camera.clone()),
         };

@@ -4,15 +4,18 @@
 
 use crate::config::cell::{CellConfig, Devices};
 use crate::config::sessions::gripper_address;
-use crate::daemon::sockets::{exchange, resolve};
-use crate::doctor::gripper::{Confirmed, GripperFacts, Product};
+use crate::daemon::sockets::resolve;
+use crate::doctor::gripper::GripperFacts;
 use crate::jobs::state::StateFolder;
 use cell_machine::device::gripper::vacuum_of;
 use cell_machine::device::gripper_types::{
-    CONTROL, FIRMWARE, ModbusFailure, ModbusRequest, PRODUCT, SERIAL, SERIAL_COUNT, VACUUM,
+    CONTROL, FIRMWARE, Identity, ModbusFailure, ModbusRequest, PRODUCT, SERIAL, SERIAL_COUNT, VACUUM,
 };
+use cell_machine::device::modbus::{Answers, request_bytes};
+use cell_machine::orders::ConfirmedGripper;
+use std::io::{Error, ErrorKind, Read, Write};
+use std::net::TcpStream;
 use std::time::Duration;
-use tokio_modbus::prelude::Slave;
 
 /// For one answer.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
@@ -28,53 +31,92 @@ const ANSWER_MAX: u64 = 64 * 1024;
 pub fn facts(config: &CellConfig, state: &StateFolder) -> GripperFacts {
     let devices = &config.devices;
     let address = gripper_address(devices);
-    let Registers { vacuum, control, product } = registers(devices);
+    let Registers { vacuum, control, identity } = registers(devices);
     let confirmed = match config.simulation {
-        Some(_) => Some(Confirmed::Simulation),
-        None => state.gripper_confirmed(&address).then_some(Confirmed::ByPerson),
+        Some(_) => ConfirmedGripper::NotNeeded,
+        None => state.confirmed_gripper(&address),
     };
     let service = service(devices);
-    GripperFacts { address, vacuum, control, product, service, confirmed, daemon: false }
+    GripperFacts { address, vacuum, control, identity, service, confirmed, daemon: false }
 }
 
 /// What is read of the device. Beside the vacuum only what it gives out.
 struct Registers {
     vacuum: Result<[f64; 2], ModbusFailure>,
     control: Option<[u16; 2]>,
-    product: Option<Product>,
+    identity: Identity,
 }
 
 fn registers(devices: &Devices) -> Registers {
-    let unread =
-        |cause| Registers { vacuum: Err(ModbusFailure::Connection(cause)), control: None, product: None };
-    let address = match resolve(&devices.gripper_host, devices.gripper_port) {
-        Ok(address) => address,
-        Err(cause) => return unread(cause),
+    let unread = |failure| Registers { vacuum: Err(failure), control: None, identity: Identity::default() };
+    let mut line = match Line::open(devices) {
+        Ok(line) => line,
+        Err(failure) => return unread(failure),
     };
-    let runtime = match tokio::runtime::Builder::new_current_thread().enable_all().build() {
-        Ok(runtime) => runtime,
-        Err(error) => return unread(error.to_string()),
-    };
-    let unit = Slave(devices.gripper_unit);
-    runtime.block_on(async {
-        let mut connection = None;
-        let mut read = async |first, count| {
-            let request = ModbusRequest::Read { address: first, count };
-            let exchange = exchange(&mut connection, (address, unit), request, &|_| {});
-            tokio::time::timeout(ANSWER_WITHIN, exchange).await.unwrap_or(Err(ModbusFailure::Timeout))
-        };
-        let vacuum = read(VACUUM, 2).await.and_then(|words| vacuum_of(&words));
-        // After a failure without an answer the next read would wait as long again.
-        if matches!(vacuum, Err(ModbusFailure::Timeout | ModbusFailure::Connection(_))) {
-            return Registers { vacuum, control: None, product: None };
+    let mut read = |address, count| line.exchange(&ModbusRequest::Read { address, count });
+    let vacuum = read(VACUUM, 2).and_then(|words| vacuum_of(&words));
+    // After a failure without an answer the next read would wait as long again.
+    if !matches!(vacuum, Ok(_) | Err(ModbusFailure::Exception(_))) {
+        return Registers { vacuum, control: None, identity: Identity::default() };
+    }
+    let control = read(CONTROL, 2).ok().and_then(|words| words.try_into().ok());
+    let product = read(PRODUCT, 1).ok().and_then(|words| words.first().copied());
+    let firmware = read(FIRMWARE, 2).ok().and_then(|words| words.try_into().ok());
+    let serial = read(SERIAL, SERIAL_COUNT).ok().and_then(|words| words.try_into().ok());
+    Registers { vacuum, control, identity: Identity { product, firmware, serial } }
+}
+
+/// A connection that waits for each answer.
+struct Line {
+    stream: TcpStream,
+    unit: u8,
+    transaction: u16,
+    answers: Answers,
+    answered: bool,
+}
+
+impl Line {
+    fn open(devices: &Devices) -> Result<Line, ModbusFailure> {
+        let address =
+            resolve(&devices.gripper_host, devices.gripper_port).map_err(ModbusFailure::Connection)?;
+        let stream =
+            TcpStream::connect_timeout(&address, ANSWER_WITHIN).map_err(|error| failure(&error, false))?;
+        stream.set_read_timeout(Some(ANSWER_WITHIN)).map_err(|error| failure(&error, false))?;
+        let unit = devices.gripper_unit;
+        Ok(Line { stream, unit, transaction: 0, answers: Answers::default(), answered: false })
+    }
+
+    fn exchange(&mut self, request: &ModbusRequest) -> Result<Vec<u16>, ModbusFailure> {
+        self.transaction += 1;
+        let bytes = request_bytes(self.transaction, self.unit, request);
+        self.stream.write_all(&bytes).map_err(|error| failure(&error, self.answered))?;
+        let mut buffer = [0; 512];
+        loop {
+            if let Some(answer) = self.answers.next_answer()? {
+                self.answered = true;
+                // An earlier request may be answered late.
+                if answer.transaction == self.transaction {
+                    return answer.words(request);
+                }
+                continue;
+            }
+            match self.stream.read(&mut buffer) {
+                Ok(0) => return Err(failure(&ErrorKind::ConnectionReset.into(), self.answered)),
+                Ok(count) => self.answers.push(buffer.get(..count).unwrap_or_default()),
+                Err(error) => return Err(failure(&error, self.answered)),
+            }
         }
-        let control = read(CONTROL, 2).await.ok().and_then(|words| words.try_into().ok());
-        let code = read(PRODUCT, 1).await.ok().and_then(|words| words.first().copied());
-        let firmware = read(FIRMWARE, 2).await.ok().and_then(|words| words.try_into().ok());
-        let serial = read(SERIAL, SERIAL_COUNT).await.ok();
-        let product = code.map(|code| Product { code, firmware, serial });
-        Registers { vacuum, control, product }
-    })
+    }
+}
+
+/// An error of a connection on which something was `answered`, or nothing yet.
+fn failure(error: &Error, answered: bool) -> ModbusFailure {
+    match error.kind() {
+        ErrorKind::WouldBlock | ErrorKind::TimedOut => ModbusFailure::Timeout,
+        ErrorKind::ConnectionRefused => ModbusFailure::Refused,
+        ErrorKind::ConnectionReset | ErrorKind::BrokenPipe if !answered => ModbusFailure::Taken,
+        _ => ModbusFailure::Connection(error.to_string()),
+    }
 }
 
 /// What the maker's service says, at the gripper's host or the controller's.

@@ -28,7 +28,7 @@ fn commands_arrive_once_in_order_and_are_answered() {
     let mail = inbox.take(9);
     assert_eq!(commands(&mail), [&Command::Arm, &approve]);
     assert!(inbox.take(9).taken.is_empty());
-    let reply = Reply { accepted: false, message: "the robot is in local mode".into() };
+    let reply = Reply::refuse("the robot is in local mode");
     mail.taken[0].answer(&reply).unwrap();
     // The client is the daemon's own user here: an answer may be a secret.
     let mode = std::fs::metadata(&first.reply).unwrap().mode() & 0o777;

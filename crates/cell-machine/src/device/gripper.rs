@@ -6,9 +6,10 @@
 //! it goes on as last commanded, which is what a held object needs. Only the registers of the channels in
 //! question are written, so that nothing is released by the way.
 
+use crate::device::gripper_identity::Identification;
 use crate::device::gripper_types::{
-    Channels, GripperCommand, GripperEvent, GripperParameters, GripperRefused, MAX_TARGET, ModbusFailure,
-    ModbusRequest, VACUUM,
+    Channels, GripperCommand, GripperEvent, GripperFault, GripperParameters, GripperRefused, Identity,
+    MAX_TARGET, ModbusFailure, ModbusRequest, VACUUM,
 };
 use crate::device::outbox::{Outbox, earlier};
 use cell_values::time::{Duration, Timestamp};
@@ -27,9 +28,10 @@ const ANSWER_WITHIN_HELD: Duration = Duration::from_millis(80);
 const MAX_FAILURES: u32 = 3;
 /// Below the threshold for longer than this and the object counts as lost: readings are noisy.
 const LOST_AFTER: Duration = Duration::from_millis(50);
-/// A vacuum that has fallen by so much, for so long, goes on falling: the pump regulates it, so something
-/// leaks. What falls faster is lost before that.
-const WEAKER_BY: f64 = 0.1;
+/// A vacuum that has fallen by so much, for so long, goes on falling: something leaks more than the pump
+/// makes good. A faster fall ends in a lost object before that. A pump that regulates lets the vacuum fall
+/// by a tenth before it runs again (a guess: no figure is published), and readings are noisy by 0.01.
+const WEAKER_BY: f64 = 0.15;
 const WEAK_AFTER: Duration = Duration::from_millis(200);
 /// Readings in a row over the threshold that make a grip.
 const GOOD_READINGS: u32 = 2;
@@ -113,6 +115,11 @@ pub struct Gripper {
     next_read: Timestamp,
     failures: u32,
     answering: bool,
+    /// Why it does not answer.
+    fault: GripperFault,
+    identification: Identification,
+    /// The vacuum was read since the last part of the identity.
+    identity_due: bool,
     unreachable_reported: bool,
     reading: Option<(Timestamp, [f64; 2])>,
     outbox: Outbox<GripperEvent>,
@@ -132,6 +139,9 @@ impl Gripper {
             next_read: Timestamp::ZERO,
             failures: 0,
             answering: false,
+            fault: GripperFault::Silent,
+            identification: Identification::default(),
+            identity_due: false,
             unreachable_reported: false,
             reading: None,
             outbox: Outbox::default(),
@@ -212,15 +222,25 @@ impl Gripper {
             return Some((ModbusRequest::Write { address, values }, 1));
         }
         if now < self.next_read {
-            return None;
+            return self.identity_request().map(|read| (read, 1));
         }
         self.next_read = now + self.read_interval();
         Some((ModbusRequest::Read { address: VACUUM, count: 2 }, 1))
     }
 
+    /// Between two readings of the vacuum there is time for one part of the identity, unless something is
+    /// under way that must be noticed at once.
+    fn identity_request(&self) -> Option<ModbusRequest> {
+        let at_rest = matches!(self.hold, Hold::Empty | Hold::Holding { .. } | Hold::Failed);
+        self.identification.request().filter(|_| self.answering && at_rest && self.identity_due)
+    }
+
     /// The answer to the request that is under way; an answer without a request is ignored.
     pub fn response(&mut self, now: Timestamp, answer: Result<Vec<u16>, ModbusFailure>) {
         let Some(outstanding) = self.outstanding.take() else { return };
+        if self.identification.concerns(&outstanding.request) {
+            return self.identified(answer);
+        }
         match (&outstanding.request, answer) {
             (ModbusRequest::Write { .. }, Ok(_)) => {
                 self.answered();
@@ -230,6 +250,7 @@ impl Gripper {
                 Ok(vacuum) => {
                     self.answered();
                     self.reading = Some((now, vacuum));
+                    self.identity_due = true;
                     self.take_reading(now, vacuum);
                 }
                 Err(failure) => self.failed(failure),
@@ -240,6 +261,15 @@ impl Gripper {
                 self.write_failed(now, outstanding);
             }
         }
+    }
+
+    fn identified(&mut self, answer: Result<Vec<u16>, ModbusFailure>) {
+        self.identity_due = false;
+        match &answer {
+            Ok(_) | Err(ModbusFailure::Exception(_)) => self.answered(),
+            Err(failure) => self.failed(failure.clone()),
+        }
+        self.identification.response(answer);
     }
 
     /// Time went by, and the answer that has arrived by now, if any, was handed over.
@@ -288,6 +318,7 @@ impl Gripper {
             None if !self.waiting.is_empty() && self.again.is_none() => (Timestamp::ZERO, "gripper command"),
             None => match &self.again {
                 Some(retry) => (retry.due, "gripper command again"),
+                None if self.identity_request().is_some() => (Timestamp::ZERO, "gripper identity"),
                 None => (self.next_read, "gripper reading"),
             },
         };
@@ -307,6 +338,16 @@ impl Gripper {
     /// True if the last request was answered.
     pub fn answering(&self) -> bool {
         self.answering
+    }
+
+    /// Why it does not answer, while it does not.
+    pub fn fault(&self) -> Option<GripperFault> {
+        (!self.answering).then_some(self.fault)
+    }
+
+    /// Which gripper it is, once it has said so; read again whenever it was unreachable.
+    pub fn identity(&self) -> Option<Identity> {
+        self.identification.identity()
     }
 
     /// True while an object is held as far as the vacuum shows.
@@ -350,12 +391,16 @@ impl Gripper {
         self.unreachable_reported = false;
         if !self.answering {
             self.answering = true;
+            self.identification.begin();
             self.outbox.report(GripperEvent::Answering);
+        } else {
+            self.identification.spoke();
         }
     }
 
     fn failed(&mut self, cause: ModbusFailure) {
         self.failures = self.failures.saturating_add(1);
+        self.fault = GripperFault::from(&cause);
         if self.failures >= MAX_FAILURES && !self.unreachable_reported {
             self.unreachable_reported = true;
             self.answering = false;

@@ -29,6 +29,66 @@ pub const UNIT: u8 = 65;
 /// Highest vacuum that may be requested.
 pub const MAX_TARGET: f64 = 0.8;
 
+/// What the device says of itself (Connectivity Guide): which product it is, not on which arm it hangs.
+/// `None` where a register is missing or was silent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+pub struct Identity {
+    /// Product code.
+    pub product: Option<u16>,
+    /// Firmware, as it stands in its two registers.
+    pub firmware: Option<[u16; 2]>,
+    /// Serial number, as it stands in its registers.
+    pub serial: Option<[u16; SERIAL_COUNT as usize]>,
+}
+
+impl Identity {
+    /// The serial number as text where its bytes are one, else in hexadecimal; `None` where it has none. How
+    /// the device lays it out is not published.
+    pub fn serial_text(&self) -> Option<String> {
+        let words = self.serial.filter(|words| words.iter().any(|word| *word != 0))?;
+        let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_be_bytes()).filter(|b| *b != 0).collect();
+        if bytes.iter().all(u8::is_ascii_graphic) {
+            return Some(bytes.iter().copied().map(char::from).collect());
+        }
+        Some(words.iter().map(|word| format!("{word:04x}")).collect())
+    }
+}
+
+/// Why there is no vacuum reading.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, thiserror::Error, Deserialize, Serialize)]
+pub enum GripperFault {
+    /// Nothing comes, or no more than that is known.
+    #[default]
+    #[error("the gripper does not answer")]
+    Silent,
+    /// See [`ModbusFailure::Taken`].
+    #[error("another client holds the gripper's connection")]
+    Taken,
+    /// See [`ModbusFailure::Refused`].
+    #[error("the gripper refuses the connection")]
+    Refused,
+    /// It answers, and has no registers 258 and 259.
+    #[error("the gripper has no registers for the vacuum (258, 259)")]
+    NoVacuum,
+}
+
+/// Modbus exception of a register that is not there.
+pub const NO_SUCH_REGISTER: u8 = 2;
+
+impl From<&ModbusFailure> for GripperFault {
+    fn from(failure: &ModbusFailure) -> GripperFault {
+        match failure {
+            ModbusFailure::Taken => GripperFault::Taken,
+            ModbusFailure::Refused => GripperFault::Refused,
+            ModbusFailure::Exception(NO_SUCH_REGISTER) => GripperFault::NoVacuum,
+            ModbusFailure::Timeout
+            | ModbusFailure::Exception(_)
+            | ModbusFailure::Connection(_)
+            | ModbusFailure::Malformed(_) => GripperFault::Silent,
+        }
+    }
+}
+
 /// Which channels; at least one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub enum Channels {
@@ -177,6 +237,12 @@ pub enum ModbusFailure {
     /// The connection is gone or was never there.
     #[error("connection: {0}")]
     Connection(String),
+    /// The device ends connections before it answers: it serves one client.
+    #[error("another client holds the gripper's connection")]
+    Taken,
+    /// Nobody accepts connections at the address.
+    #[error("the gripper's box refuses the connection: another client may have the only one it serves")]
+    Refused,
     /// An answer that is none.
     #[error("malformed answer: {0}")]
     Malformed(String),

@@ -32,3 +32,7 @@ pub mod robot;
 pub mod gripper_types;
 
 pub mod gripper;
+
+pub mod gripper_identity;
+
+pub mod modbus;

@@ -59,7 +59,10 @@ impl Supervisor {
     pub(crate) fn place(&self, closed: &GateClosed) -> String {
         match closed {
             GateClosed::Link(_) | GateClosed::Stale => format!("{closed} ({})", self.model.addresses.robot),
-            GateClosed::Gripper | GateClosed::GripperUnconfirmed => {
+            GateClosed::Gripper(_)
+            | GateClosed::GripperUnknown
+            | GateClosed::GripperUnconfirmed
+            | GateClosed::GripperOther => {
                 format!("{closed} ({})", self.model.addresses.gripper)
             }
             GateClosed::Safety(_)
@@ -199,8 +202,10 @@ fn opens_by_bring_up(closed: &GateClosed) -> bool {
         | GateClosed::Orders(_)
         | GateClosed::Disarmed
         | GateClosed::Locked(_)
-        | GateClosed::Gripper
+        | GateClosed::Gripper(_)
+        | GateClosed::GripperUnknown
         | GateClosed::GripperUnconfirmed
+        | GateClosed::GripperOther
         | GateClosed::Holding
         | GateClosed::MayHang(_)
         | GateClosed::NotObserved

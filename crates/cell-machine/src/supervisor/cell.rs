@@ -441,7 +441,7 @@ impl Supervisor {
             | GripperEvent::Reading { .. } => false,
         };
         if silent && self.gripper_needed() {
-            return self.on_gripper_silent(now, out);
+            return self.on_gripper_silent(now, devices.gripper_fault, out);
         }
         if matches!(self.phase, Phase::Work(_)) {
             self.work_gripper(now, devices, event, out);

@@ -48,7 +48,7 @@ fn robot(devices: &DeviceSnapshot) -> DeviceNote {
 
 fn gripper(devices: &DeviceSnapshot) -> DeviceNote {
     let (ready, message) = match (devices.gripper_answers, devices.gripper_holds) {
-        (false, _) => (false, GateClosed::Gripper.to_string()),
+        (false, _) => (false, devices.gripper_fault.to_string()),
         (true, true) => (true, "answers, and holds something".to_string()),
         (true, false) => (true, "answers".to_string()),
     };

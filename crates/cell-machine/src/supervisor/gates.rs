@@ -4,9 +4,11 @@
 //! first condition that is missing, in words. One function for each class of motion; every motion goes
 //! through one.
 
+use crate::device::gripper_types::{GripperFault, Identity};
 use crate::device::program::Nonce;
 use crate::device::robot_types::Link;
 use crate::intake::Unreachable;
+use crate::orders::ConfirmedGripper;
 use crate::supervisor::input::DeviceSnapshot;
 use crate::supervisor::safety_words::{mode_words, safety_hint, safety_words};
 use serde::{Deserialize, Serialize};
@@ -51,12 +53,26 @@ impl GateClosed {
             GateClosed::Orders(_) => "put the state folder back or restart celld",
             GateClosed::Disarmed => "`celld arm` once the cell is clear",
             GateClosed::Locked(_) => "the cell cannot be armed before that",
-            GateClosed::Gripper => {
+            GateClosed::Gripper(GripperFault::Silent) => {
                 "see that the Compute Box is on and in the network: `devices.gripper` in the configuration, \
                  `ping` it"
             }
-            GateClosed::GripperUnconfirmed => {
-                "see that it is the gripper on this arm, then `celld confirm-gripper`, once for this address"
+            GateClosed::Gripper(GripperFault::Taken) => {
+                "the Compute Box serves one client: end the other one (a second celld, a PLC, the gripper's \
+                 URCap); after a pulled cable the box may keep the place of an old connection for a while; \
+                 without power the gripper drops what hangs there"
+            }
+            GateClosed::Gripper(GripperFault::Refused) => {
+                "the Compute Box may still be starting, or serve another client (a second celld, a PLC, the \
+                 gripper's URCap): end that one; `devices.gripper` in the configuration has the port"
+            }
+            GateClosed::Gripper(GripperFault::NoVacuum) => {
+                "see on the Compute Box's own web page which gripper and which firmware it has: older \
+                 firmware has the vacuum in other registers, update it"
+            }
+            GateClosed::GripperUnknown => "wait a few seconds, then try again",
+            GateClosed::GripperUnconfirmed | GateClosed::GripperOther => {
+                "see that it is the gripper on this arm, then `celld confirm-gripper`, once for each gripper"
             }
             GateClosed::Holding => "`celld recover` says what hangs there and what can be done with it",
             GateClosed::MayHang(_) => "see that nothing hangs on the cups, then `celld release --yes`",
@@ -104,12 +120,18 @@ pub enum GateClosed {
     /// Nor can it be armed, for this reason.
     #[error("the cell is locked: {0}")]
     Locked(String),
-    /// The gripper does not answer.
-    #[error("the gripper does not answer")]
-    Gripper,
+    /// There is no vacuum reading.
+    #[error("{0}")]
+    Gripper(GripperFault),
+    /// The gripper answers, and its serial number was not read yet.
+    #[error("the gripper's serial number was not read yet")]
+    GripperUnknown,
     /// No person has said yet that what answers at the gripper's address is the gripper.
     #[error("what answers at the gripper's address was never confirmed to be the gripper")]
     GripperUnconfirmed,
+    /// A person has confirmed a gripper with another serial number.
+    #[error("this is another gripper than the one that was confirmed")]
+    GripperOther,
     /// There is vacuum although nothing was picked. Without the reading: what is said of a gate is part of
     /// the status, which would be another with every reading.
     #[error("something may hang on the gripper: there is vacuum in its cups")]
@@ -229,13 +251,29 @@ pub fn any_motion(armed: bool, devices: &DeviceSnapshot, nonce: Option<Nonce>) -
 /// [`GateClosed::Gripper`] or [`GateClosed::Holding`].
 pub fn empty_handed(devices: &DeviceSnapshot) -> Result<(), GateClosed> {
     let Some(vacuum) = devices.vacuum.filter(|_| devices.gripper_answers) else {
-        return Err(GateClosed::Gripper);
+        return Err(GateClosed::Gripper(devices.gripper_fault));
     };
     // A reading that is no number is no proof either; the larger of it and another would be the other.
     if vacuum.iter().all(|share| *share < EMPTY_BELOW) {
         return Ok(());
     }
     Err(GateClosed::Holding)
+}
+
+/// What arming needs besides: the gripper that answers is the one that a person has confirmed.
+///
+/// # Errors
+/// It is not, or it has not said yet which one it is.
+pub fn confirmed(confirmed: &ConfirmedGripper, identity: Option<&Identity>) -> Result<(), GateClosed> {
+    match (confirmed, identity.map(ConfirmedGripper::of)) {
+        (ConfirmedGripper::NotNeeded, _) => Ok(()),
+        (confirmed, Some(answers)) if *confirmed == answers => Ok(()),
+        (_, None) => Err(GateClosed::GripperUnknown),
+        (ConfirmedGripper::None | ConfirmedGripper::AtAddress, Some(_)) => {
+            Err(GateClosed::GripperUnconfirmed)
+        }
+        (ConfirmedGripper::Serial(_), Some(_)) => Err(GateClosed::GripperOther),
+    }
 }
 
 /// What moving an object needs besides.

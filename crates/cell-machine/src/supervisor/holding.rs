@@ -234,9 +234,7 @@ impl Supervisor {
     pub(crate) fn may_arm(&self, devices: &DeviceSnapshot) -> Result<(), GateClosed> {
         self.orders_reach()?;
         gates::arming(devices)?;
-        if !self.model.gripper_confirmed {
-            return Err(GateClosed::GripperUnconfirmed);
-        }
+        gates::confirmed(&self.model.confirmed, devices.gripper_identity.as_ref())?;
         match &self.back.held {
             Some(held) if !held.let_go => Err(GateClosed::MayHang(held.object.clone())),
             None if self.back.fell.is_some() => Err(GateClosed::MayHang("what the gripper held".to_string())),
@@ -260,7 +258,11 @@ impl Supervisor {
                 self.back.fell.clone().unwrap_or(held.object.clone())
             )),
             Some(held) => Some(format!("holds {}", held.object)),
-            None => self.back.fell.clone(),
+            // The gripper has not answered since the start.
+            None => match &self.model.held_before {
+                Some(before) => Some(format!("{} may hang on the cups", before.object)),
+                None => self.back.fell.clone(),
+            },
         }
     }
 }

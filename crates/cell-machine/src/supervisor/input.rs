@@ -1,7 +1,7 @@
 //! What goes into the supervisor, and what it requests.
 
 use crate::code::Code;
-use crate::device::gripper_types::{GripperCommand, GripperEvent};
+use crate::device::gripper_types::{GripperCommand, GripperEvent, GripperFault, Identity};
 use crate::device::robot_types::{Link, RobotCommand, RobotEvent, RobotState};
 use crate::intake::Unreachable;
 use crate::orders::{Order, Reply};
@@ -43,6 +43,10 @@ pub struct DeviceSnapshot<'a> {
     pub gripper_holds: bool,
     /// The gripper answered within its deadline.
     pub gripper_answers: bool,
+    /// Why it does not answer, if it does not.
+    pub gripper_fault: GripperFault,
+    /// Which gripper it is, once it has said so.
+    pub gripper_identity: Option<Identity>,
     /// Vacuum of the channels (fraction), if it was read lately.
     pub vacuum: Option<[f64; 2]>,
 }

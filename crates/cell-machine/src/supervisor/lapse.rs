@@ -12,7 +12,7 @@ use crate::supervisor::cell::Supervisor;
 use crate::supervisor::gates::motion_speed;
 use crate::supervisor::input::{Action, DeviceSnapshot};
 use crate::supervisor::phase::{Phase, Quiet};
-use crate::supervisor::reason::alarm;
+use crate::supervisor::reason::{alarm, with_fault};
 use crate::supervisor::safety_words::mode_words;
 use cell_values::time::{Duration, Timestamp};
 use ur_wire::enumerations::RobotMode;
@@ -67,7 +67,8 @@ impl Supervisor {
             return Some(format!("the {link} link was lost ({})", self.model.addresses.robot));
         }
         if !devices.gripper_answers && self.round.is_none() {
-            return Some(format!("the gripper stopped answering ({})", self.model.addresses.gripper));
+            let stopped = format!("the gripper stopped answering ({})", self.model.addresses.gripper);
+            return Some(with_fault(stopped, devices.gripper_fault));
         }
         let robot = devices.robot.filter(|_| devices.robot_fresh)?;
         if robot.guided || robot.robot_mode == RobotMode::Backdrive {

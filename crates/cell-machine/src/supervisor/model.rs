@@ -4,6 +4,7 @@
 //! Lengths in m, angles in rad, masses in kg.
 
 use crate::device::gripper_types::Channels;
+use crate::orders::ConfirmedGripper;
 use crate::supervisor::round::RoundOrder;
 use crate::views::{Rig, SightModel, Views};
 use cell_calibration::files::hand_eye::Mount;
@@ -169,9 +170,8 @@ pub struct DeviceAddresses {
 pub struct CellModel {
     /// Where the devices are.
     pub addresses: DeviceAddresses,
-    /// A person has confirmed once that what answers at the gripper's address is the gripper, or the cell is
-    /// simulated. That the device says which product it is does not prove that it hangs on this arm.
-    pub gripper_confirmed: bool,
+    /// Which gripper a person has confirmed.
+    pub confirmed: ConfirmedGripper,
     /// What an earlier celld gripped and did not release; it counts as held while the vacuum holds it.
     pub held_before: Option<HeldBefore>,
     /// The job that was cut off when an earlier celld ended: a stop that is still to be left.

@@ -5,9 +5,9 @@
 
 use crate::code::{Code, JobStatus};
 use crate::device::gripper_types::{Channels, GripperCommand, GripperEvent};
-use crate::orders::{Approval, Order, Reply};
+use crate::orders::{Approval, ConfirmedGripper, Order, Reply};
 use crate::supervisor::cell::Supervisor;
-use crate::supervisor::gates::{GateClosed, motion_speed};
+use crate::supervisor::gates::{self, GateClosed, motion_speed};
 use crate::supervisor::input::{Action, DeviceSnapshot, Record};
 use crate::supervisor::mode::{Mode, Pace};
 use crate::supervisor::phase::{Phase, Preview, Then, WorkStage};
@@ -322,20 +322,32 @@ impl Supervisor {
         None
     }
 
-    /// Once for an address: nothing that could be read from the device proves what it is.
+    /// Once for each gripper: nothing that could be read from the device proves that it is on this arm.
     fn on_confirm_gripper(&mut self, devices: &DeviceSnapshot, out: &mut Vec<Action>) -> Reply {
         let address = &self.model.addresses.gripper;
-        if self.model.gripper_confirmed {
-            return Reply::accept(format!("confirmed already: the gripper is at {address}"));
+        let Some(identity) = devices.gripper_identity.filter(|_| devices.gripper_answers) else {
+            let closed = match devices.gripper_answers {
+                true => GateClosed::GripperUnknown,
+                false => GateClosed::Gripper(devices.gripper_fault),
+            };
+            return Reply::refuse(format!("not confirmed: {}; {}", self.place(&closed), closed.hint()));
+        };
+        let confirmed = ConfirmedGripper::of(&identity);
+        if gates::confirmed(&self.model.confirmed, Some(&identity)).is_ok() {
+            let reply = Reply::accept(format!("confirmed already: the gripper is at {address}"));
+            // The disk may have been full before. Of a simulated gripper nothing is remembered.
+            let needed = self.model.confirmed != ConfirmedGripper::NotNeeded;
+            return Reply { confirmed: needed.then_some(confirmed), ..reply };
         }
-        if !devices.gripper_answers {
-            let why = self.place(&GateClosed::Gripper);
-            return Reply::refuse(format!("not confirmed: {why}; {}", GateClosed::Gripper.hint()));
-        }
-        let reply = Reply::accept(format!("confirmed: the gripper is at {address}"));
+        let reply = Reply::accept(match &confirmed {
+            ConfirmedGripper::Serial(serial) => {
+                format!("confirmed: the gripper with serial number {serial} is at {address}")
+            }
+            _ => format!("confirmed: the gripper is at {address}"),
+        });
         say(out, reply.message.clone());
-        self.model.gripper_confirmed = true;
-        reply
+        self.model.confirmed = confirmed.clone();
+        Reply { confirmed: Some(confirmed), ..reply }
     }
 
     fn not_active(&self, id: &str) -> Reply {

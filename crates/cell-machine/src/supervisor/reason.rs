@@ -3,6 +3,7 @@
 //! Plain data with the two ways to say something; below every file that decides.
 
 use crate::code::Code;
+use crate::device::gripper_types::GripperFault;
 use crate::supervisor::input::{Action, Notice};
 use serde::{Deserialize, Serialize};
 
@@ -38,6 +39,14 @@ impl Code {
     /// With a sentence and what to do about it.
     pub(crate) fn because(self, message: impl Into<String>, hint: impl Into<String>) -> Reason {
         Reason { code: self, object: None, message: message.into(), hint: hint.into() }
+    }
+}
+
+/// That the gripper stopped answering, and why, where that is known.
+pub(crate) fn with_fault(stopped: String, fault: GripperFault) -> String {
+    match fault {
+        GripperFault::Silent => stopped,
+        GripperFault::Taken | GripperFault::Refused | GripperFault::NoVacuum => format!("{stopped}: {fault}"),
     }
 }
 

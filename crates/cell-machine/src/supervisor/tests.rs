@@ -1,10 +1,10 @@
 //! What the machine must never do, played through with made-up devices.
 
 use crate::code::{Code, JobStatus};
-use crate::device::gripper_types::{Channels, GripperCommand};
+use crate::device::gripper_types::{Channels, GripperCommand, GripperFault, Identity};
 use crate::device::registers::ProgramStatus;
 use crate::device::robot_types::{Link, RobotCommand, RobotEvent, RobotState};
-use crate::orders::{Approval, Order, Reply};
+use crate::orders::{Approval, ConfirmedGripper, Order, Reply};
 use crate::supervisor::cell::Supervisor;
 use crate::supervisor::input::{Action, DeviceSnapshot, Input, PlanAnswer, Record};
 use crate::supervisor::model::{
@@ -74,7 +74,7 @@ fn model() -> CellModel {
     CellModel {
         round: RoundOrder::default(),
         addresses: DeviceAddresses { robot: "10.0.0.2".into(), gripper: "10.0.0.3:502, unit 65".into() },
-        gripper_confirmed: true,
+        confirmed: ConfirmedGripper::NotNeeded,
         held_before: None,
         plans_before: 0,
         cut_off: None,
@@ -133,6 +133,8 @@ struct Bench {
     robot: RobotState,
     silent: bool,
     gripper_answers: bool,
+    gripper_fault: GripperFault,
+    identity: Option<Identity>,
     vacuum: [f64; 2],
     unknown: Vec<u32>,
     missing: Vec<String>,
@@ -199,6 +201,8 @@ impl Bench {
             robot,
             silent: false,
             gripper_answers: true,
+            gripper_fault: GripperFault::Silent,
+            identity: Some(Identity::default()),
             vacuum: [0.01, 0.0],
             unknown: Vec::new(),
             missing: Vec::new(),
@@ -240,6 +244,8 @@ impl Bench {
             arm_settled: self.arm_settled,
             gripper_holds: self.vacuum.iter().any(|share| *share > 0.4),
             gripper_answers: self.gripper_answers,
+            gripper_fault: self.gripper_fault,
+            gripper_identity: self.identity,
             vacuum: Some(self.vacuum),
         }
     }
@@ -306,8 +312,7 @@ impl Bench {
             ..estimate.clone()
         });
         let objects: Vec<_> = std::iter::once(estimate.clone()).chain(other).collect();
-        let missing = self.missing.clone();
-        let unknown = self.unknown.clone();
+        let (missing, unknown) = (self.missing.clone(), self.unknown.clone());
         let foreign = self.foreign.clone();
         let seen = Observation { objects, reference, unknown, missing, foreign, ..Observation::default() };
         self.feed(Input::Observed(Ok(Box::new(seen))))

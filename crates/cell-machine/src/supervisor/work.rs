@@ -6,7 +6,7 @@
 //! disk.
 
 use crate::code::{Code, JobStatus};
-use crate::device::gripper_types::{GripperCommand, GripperEvent};
+use crate::device::gripper_types::{GripperCommand, GripperEvent, GripperFault};
 use crate::device::robot_types::RobotCommand;
 use crate::supervisor::back::Held;
 use crate::supervisor::cell::Supervisor;
@@ -15,7 +15,7 @@ use crate::supervisor::input::{Action, DeviceSnapshot, Record};
 use crate::supervisor::model::CellObject;
 use crate::supervisor::order::RouteAction;
 use crate::supervisor::phase::{Look, Meant, Phase, Work, WorkStage};
-use crate::supervisor::reason::{alarm, say};
+use crate::supervisor::reason::{alarm, say, with_fault};
 use cell_motion::bodies::{Standing, Tabletop};
 use cell_motion::path::{CheckedPath, PathFault};
 use cell_motion::pick_n_place::{PickNPlace, PickNPlacePaths, leave, plan};
@@ -461,7 +461,7 @@ impl Supervisor {
     }
 
     /// Whether the object is held is unknown from here on: the arm stops where it is.
-    pub(crate) fn on_gripper_silent(&mut self, now: Timestamp, out: &mut Vec<Action>) {
+    pub(crate) fn on_gripper_silent(&mut self, now: Timestamp, fault: GripperFault, out: &mut Vec<Action>) {
         let Phase::Work(work) = &self.phase else { return };
         let during = match work.stage {
             WorkStage::Gripping => "while gripping",
@@ -472,7 +472,8 @@ impl Supervisor {
             | WorkStage::Retreating
             | WorkStage::Withdrawing => "while holding",
         };
-        let message = format!("the gripper stopped answering {during} {}", work.object);
+        let stopped = format!("the gripper stopped answering {during} {}", work.object);
+        let message = with_fault(stopped, fault);
         let hint = "see that the Compute Box is on and in the network, and keep clear of what may fall; \
                     `celld recover` shows what is held and the ways back";
         let reason = Code::GripperUnreachable.because(message, hint).of(&work.object);

@@ -3,7 +3,9 @@
 //! In: the text and its name. Out: the checked configuration of the simulated cell, or every complaint at
 //! once. The deviations of the simulated truth have documented defaults: they are chosen, not measured.
 
+use crate::compute_box::BoxConfig;
 use crate::config::blend::entry_speed;
+use crate::config::compute_box::compute_box;
 use crate::config::conveyors::conveyors;
 use crate::config::gripper::gripper;
 use crate::config::programs::programs;
@@ -56,6 +58,7 @@ pub const SIM_KEYS: &[&str] = &[
     "safety",
     "blend",
     "rest",
+    "compute_box",
     "programs",
     "errors",
 ];
@@ -105,9 +108,7 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
     let camera = mount(decoder, fields);
     let hand_board =
         optional(decoder, fields, "hand_board", None, |decoder, at| hand_board(decoder, at).map(Some));
-    if let Some(Some(held)) = &hand_board {
-        apart(decoder, held, numbers_on_table(markers.as_deref(), objects.as_deref()), places);
-    }
+    apart(decoder, hand_board.as_ref(), numbers_on_table(markers.as_deref(), objects.as_deref()), places);
     let start_pose = fields.required("start_pose_deg", decoder).and_then(|at| joints_deg(decoder, &at));
     let model = optional(decoder, fields, "model", ARM_MODELS[0], model);
     let controller = optional(decoder, fields, "controller", (SOFTWARE, [0.0; 2]), controller);
@@ -116,6 +117,7 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
     let safety = optional(decoder, fields, "safety", SafetyLimits::default(), safety);
     let entry_speed = optional(decoder, fields, "blend", EntrySpeed::Braked, entry_speed);
     let rest = optional(decoder, fields, "rest", RestConfig::recorded(), rest);
+    let compute_box = optional(decoder, fields, "compute_box", BoxConfig::default(), compute_box);
     let programs = optional(decoder, fields, "programs", (None, ProgramFiles::default()), programs);
     let errors = optional(decoder, fields, "errors", DEFAULT_ERRORS, errors);
     let (size, (program_folder, programs), (gripper, drive)) = (size?, programs?, gripper?);
@@ -143,6 +145,7 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
         safety: safety?,
         entry_speed: entry_speed?,
         rest: rest?,
+        compute_box: compute_box?,
         program_folder,
         programs,
         errors: errors?,
@@ -163,7 +166,8 @@ fn model(decoder: &mut Decoder, at: &At) -> Option<ArmModel> {
 }
 
 /// No marker is on the hand's board and elsewhere.
-fn apart(decoder: &mut Decoder, held: &SimHandBoard, on_table: Vec<i64>, places: &Places) {
+fn apart(decoder: &mut Decoder, held: Option<&Option<SimHandBoard>>, on_table: Vec<i64>, places: &Places) {
+    let Some(Some(held)) = held else { return };
     let place = (places.at(&["hand_board", "board"]), "hand_board.board");
     board_apart(decoder, held.board.numbers(), on_table.into_iter(), place);
 }

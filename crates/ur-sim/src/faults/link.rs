@@ -6,6 +6,7 @@
 //! divided them by the time factor.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use tokio::sync::watch;
 
@@ -81,28 +82,32 @@ pub struct LinkState {
 
 /// One server's connections.
 #[derive(Debug)]
-pub struct Link(watch::Sender<LinkState>);
+pub struct Link {
+    state: watch::Sender<LinkState>,
+    silences: AtomicU64,
+}
 
 impl Default for Link {
     fn default() -> Link {
-        Link(watch::Sender::new(LinkState::default()))
+        Link { state: watch::Sender::new(LinkState::default()), silences: AtomicU64::new(0) }
     }
 }
 
 impl Link {
     /// What is wrong now.
     pub fn state(&self) -> LinkState {
-        self.0.borrow().clone()
+        self.state.borrow().clone()
     }
 
     /// Follows what is wrong.
     pub fn watch(&self) -> watch::Receiver<LinkState> {
-        self.0.subscribe()
+        self.state.subscribe()
     }
 
     /// Changes what is wrong; resets are kept.
     pub fn set(&self, state: LinkState) {
-        self.0.send_if_modified(|now| {
+        self.state.send_if_modified(|now| {
+            self.silences.fetch_add(u64::from(state.silent && !now.silent), Ordering::Relaxed);
             let state = LinkState { resets: now.resets, ..state };
             let changed = *now != state;
             *now = state;
@@ -110,9 +115,14 @@ impl Link {
         });
     }
 
+    /// How often the cable was pulled so far.
+    pub fn silences(&self) -> u64 {
+        self.silences.load(Ordering::Relaxed)
+    }
+
     /// Resets all connections.
     pub fn reset(&self) {
-        self.0.send_modify(|now| now.resets += 1);
+        self.state.send_modify(|now| now.resets += 1);
     }
 }
 

@@ -4,6 +4,7 @@
 //! through the ejector pulls as the pumps at full power do; without it the cups fill again, and blown off
 //! they fill at once.
 
+use crate::compute_box::BoxConfig;
 use crate::world::World;
 use crate::world::drive::Drive;
 use crate::world::vacuum::{Channel, HIGHEST_TARGET, VacuumMode};
@@ -29,6 +30,11 @@ impl World {
     /// The gripper is one behind a Compute Box.
     pub fn has_compute_box(&self) -> bool {
         self.gripper.drive == Drive::Vgc10
+    }
+
+    /// How the box treats its clients.
+    pub fn box_config(&self) -> BoxConfig {
+        self.gripper.clients
     }
 
     /// The gripper is one on the serial line of the tool connector.

@@ -4,6 +4,7 @@
 //! the deviations that a daemon can only learn by calibrating. Lengths m, angles rad, masses kg; poses of
 //! objects and markers in the table frame, cups in the tool frame.
 
+use crate::compute_box::BoxConfig;
 use crate::render::lens::CameraTruth;
 use crate::world::drive::Drive;
 use crate::world::vacuum::Channel;
@@ -143,6 +144,8 @@ impl Default for PlacementErrors {
 pub struct GripperSpec {
     /// What makes it grip.
     pub drive: Drive,
+    /// How its box treats clients, if it has one.
+    pub clients: BoxConfig,
     /// Tool frame (centre of the cup lips or between the fingertips, z out of the gripper) in the flange
     /// frame.
     pub flange_from_tool: Isometry3<f64>,
@@ -160,6 +163,7 @@ impl GripperSpec {
     pub fn one_cup(length_m: f64) -> GripperSpec {
         GripperSpec {
             drive: Drive::Vgc10,
+            clients: BoxConfig::default(),
             flange_from_tool: Isometry3::translation(0.0, 0.0, length_m),
             cups: vec![Cup { channel: Channel::A, x_m: 0.0, y_m: 0.0, diameter_m: 0.02 }],
             body: Footprint::Rectangle { length: 0.05, width: 0.05 },

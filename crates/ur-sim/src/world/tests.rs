@@ -1,6 +1,7 @@
 //! The world driven as the controller would: a tool that moves in 2 ms frames.
 
 use super::*;
+use crate::compute_box::BoxConfig;
 use crate::faults::FaultError;
 use crate::world::drive::Drive;
 use crate::world::grip::YIELD_M;
@@ -15,6 +16,7 @@ const CUP: f64 = 0.02;
 pub(super) fn gripper() -> GripperSpec {
     GripperSpec {
         drive: Drive::Vgc10,
+        clients: BoxConfig::default(),
         flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
         cups: vec![Cup { channel: Channel::A, x_m: 0.0, y_m: 0.0, diameter_m: CUP }],
         body: Footprint::rectangle(0.07, 0.07).unwrap(),

@@ -1,7 +1,7 @@
 //! The gripper session against scripted answers, in virtual time.
 
 use super::*;
-use crate::device::gripper_types::{CONTROL, UNIT};
+use crate::device::gripper_types::{CONTROL, FIRMWARE, PRODUCT, SERIAL, UNIT, VGC10};
 
 const README: &str = include_str!("../../../../../hardware/gripper/README.md");
 
@@ -15,6 +15,8 @@ struct Rig {
     failure: Option<ModbusFailure>,
     /// Requests are swallowed.
     mute: bool,
+    /// It has registers that say which one it is, and this serial number.
+    serial: Option<[u16; 16]>,
     events: Vec<GripperEvent>,
 }
 
@@ -34,6 +36,7 @@ impl Rig {
             reads: 0,
             failure: None,
             mute: false,
+            serial: None,
             events: Vec::new(),
         }
     }
@@ -61,11 +64,18 @@ impl Rig {
 
     fn answer(&mut self, request: ModbusRequest) -> Result<Vec<u16>, ModbusFailure> {
         match request {
-            ModbusRequest::Read { address, count } => {
-                assert_eq!((address, count), (VACUUM, 2));
+            ModbusRequest::Read { address: VACUUM, count } => {
+                assert_eq!(count, 2);
                 self.reads += 1;
                 self.failure.clone().map_or(Ok(self.vacuum.to_vec()), Err)
             }
+            ModbusRequest::Read { address, count } => match (address, self.serial) {
+                _ if self.failure.is_some() => Err(self.failure.clone().unwrap()),
+                (PRODUCT, Some(_)) => Ok(vec![VGC10]),
+                (FIRMWARE, Some(_)) => Ok(vec![1, 7]),
+                (SERIAL, Some(serial)) => Ok(serial[..usize::from(count)].to_vec()),
+                _ => Err(ModbusFailure::Exception(2)),
+            },
             ModbusRequest::Write { address, values } => {
                 self.writes.push((address, values));
                 self.failure.clone().map_or(Ok(Vec::new()), Err)
@@ -385,20 +395,20 @@ fn a_vacuum_that_falls_is_reported_before_it_is_lost() {
     rig.vacuum = [560, 0];
     rig.run_ms(1000);
     assert_eq!(rig.events, [], "a little less is no leak");
-    rig.vacuum = [480, 0];
+    rig.vacuum = [440, 0];
     rig.run_ms(150);
     rig.vacuum = [600, 0];
     rig.run_ms(300);
     assert_eq!(rig.events, [], "nor is a moment");
-    rig.vacuum = [490, 0];
+    rig.vacuum = [440, 0];
     rig.run_ms(2000);
-    assert_eq!(rig.events, [GripperEvent::VacuumWeak { vacuum: 0.49, best: 0.6 }], "once");
+    assert_eq!(rig.events, [GripperEvent::VacuumWeak { vacuum: 0.44, best: 0.6 }], "once");
     rig.vacuum = [0, 0];
     rig.run_ms(200);
     assert_eq!(rig.events[1..], [GripperEvent::VacuumLost { vacuum: 0.0 }]);
-    // A pump that overshoots, and falls back to what was commanded.
+    // A pump that overshoots, falls by a tenth and runs again.
     let mut rig = Rig::holding();
-    for vacuum in [720, 590] {
+    for vacuum in [720, 650, 560, 490, 560, 660, 495] {
         rig.vacuum = [vacuum, 0];
         rig.run_ms(1000);
     }
@@ -408,4 +418,90 @@ fn a_vacuum_that_falls_is_reported_before_it_is_lost() {
     rig.vacuum = [0, 0];
     rig.run_ms(500);
     assert_eq!(rig.events, [GripperEvent::VacuumLost { vacuum: 0.0 }]);
+}
+
+/// A serial number of two characters.
+fn serial(last: u8) -> [u16; 16] {
+    let mut serial = [0; 16];
+    serial[0] = u16::from_be_bytes([b'v', last]);
+    serial
+}
+
+#[test]
+fn it_says_which_one_it_is_and_again_after_it_was_gone() {
+    let mut rig = Rig::new();
+    rig.serial = Some(serial(b'1'));
+    rig.run_ms(400);
+    let identity = rig.gripper.identity().expect("it was read");
+    assert_eq!((identity.product, identity.firmware), (Some(VGC10), Some([1, 7])));
+    assert_eq!(identity.serial_text().as_deref(), Some("v1"));
+    rig.failure = Some(ModbusFailure::Timeout);
+    rig.run_ms(500);
+    assert_eq!(rig.gripper.fault(), Some(GripperFault::Silent));
+    (rig.failure, rig.serial) = (None, Some(serial(b'2')));
+    rig.run_ms(400);
+    assert_eq!(rig.gripper.identity().and_then(|it| it.serial_text()).as_deref(), Some("v2"));
+}
+
+#[test]
+fn a_gripper_without_such_registers_is_nameless_and_grips_all_the_same() {
+    let mut rig = Rig::new();
+    rig.run_ms(400);
+    assert_eq!(rig.gripper.identity(), Some(Identity::default()));
+    assert_eq!(rig.gripper.identity().unwrap().serial_text(), None);
+    rig.grip(Channels::A);
+    rig.vacuum = [600, 0];
+    rig.run_ms(60);
+    assert!(rig.gripper.holding());
+}
+
+/// Two tries for each of three parts: six silences.
+#[test]
+fn a_gripper_that_falls_silent_at_each_read_of_its_identity_works_in_the_end() {
+    let mut rig = Rig::new();
+    let mut silent_until = None;
+    for _ in 0..20_000 {
+        rig.now += Duration::from_millis(1);
+        rig.gripper.tick(rig.now);
+        if silent_until.is_some_and(|until| rig.now >= until) {
+            silent_until = None;
+            rig.gripper.response(rig.now, Err(ModbusFailure::Timeout));
+        }
+        match rig.gripper.poll_request(rig.now) {
+            Some(ModbusRequest::Read { address: VACUUM, .. }) => {
+                rig.gripper.response(rig.now, Ok(vec![0, 0]));
+            }
+            Some(_) => silent_until = Some(rig.now + Duration::from_secs(1)),
+            None => {}
+        }
+    }
+    assert_eq!(rig.gripper.identity(), Some(Identity::default()));
+    assert!(rig.gripper.answering());
+}
+
+#[test]
+fn why_it_does_not_answer_is_known() {
+    for (failure, fault) in [
+        (ModbusFailure::Taken, GripperFault::Taken),
+        (ModbusFailure::Refused, GripperFault::Refused),
+        (ModbusFailure::Exception(2), GripperFault::NoVacuum),
+        (ModbusFailure::Exception(4), GripperFault::Silent),
+    ] {
+        let mut rig = Rig::new();
+        rig.failure = Some(failure.clone());
+        rig.run_ms(500);
+        assert_eq!(rig.gripper.fault(), Some(fault), "{failure:?}");
+        rig.failure = None;
+        rig.run_ms(200);
+        assert_eq!(rig.gripper.fault(), None);
+    }
+}
+
+#[test]
+fn a_serial_number_is_text_or_hexadecimal() {
+    let text = |words: [u16; 16]| Identity { serial: Some(words), ..Identity::default() }.serial_text();
+    assert_eq!(text([0; 16]), None, "empty registers name nothing");
+    let mut binary = [0; 16];
+    binary[15] = 0x0102;
+    assert_eq!(text(binary), Some(format!("{}0102", "0000".repeat(15))));
 }

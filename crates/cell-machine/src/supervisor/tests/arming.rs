@@ -2,8 +2,9 @@
 
 use super::*;
 use crate::code::Code;
+use crate::device::gripper_types::{GripperFault, Identity};
 use crate::device::robot_types::InputsTaken;
-use crate::orders::WayBack;
+use crate::orders::{ConfirmedGripper, WayBack};
 use crate::supervisor::back::{Held, LastStop};
 use crate::supervisor::gates::GateClosed;
 use crate::supervisor::mode::Mode;
@@ -29,8 +30,12 @@ const MISSING: &[Missing] = &[
     ("robot mode", |bench| bench.robot.robot_mode = RobotMode::Disconnected),
     ("robot mode", |bench| bench.robot.robot_mode = RobotMode::Backdrive),
     ("robot mode", |bench| bench.robot.robot_mode = RobotMode::Unknown(42)),
-    ("gripper", |bench| bench.gripper_answers = false),
-    ("never confirmed", |bench| bench.cell.model.gripper_confirmed = false),
+    ("the gripper does not answer", |bench| bench.gripper_answers = false),
+    ("another client holds the gripper's connection", |bench| {
+        (bench.gripper_answers, bench.gripper_fault) = (false, GripperFault::Taken);
+    }),
+    ("another gripper", |bench| bench.cell.model.confirmed = ConfirmedGripper::Serial("other".into())),
+    ("never confirmed", |bench| bench.cell.model.confirmed = ConfirmedGripper::None),
     ("hang on the gripper", |bench| bench.vacuum = [0.0, 0.4]),
     ("hang on the gripper", |bench| bench.vacuum = [f64::NAN, 0.0]),
 ];
@@ -58,7 +63,7 @@ fn arming_names_what_is_missing_and_is_not_made_up_for_later() {
         // What was missing comes, as after a boot or when an emergency stop is let go.
         (bench.robot, bench.vacuum) = there;
         (bench.link_down, bench.silent, bench.gripper_answers) = (None, false, true);
-        bench.cell.model.gripper_confirmed = true;
+        bench.cell.model.confirmed = ConfirmedGripper::NotNeeded;
         all.extend(bench.ticks(500));
         assert_eq!(streams(&all), 0, "{word}: nothing moves");
         assert!(!all.iter().any(|action| matches!(action, Action::Robot(_))), "{word}: {all:?}");
@@ -238,16 +243,52 @@ fn the_ways_in_the_status_are_those_that_the_cell_takes() {
 #[test]
 fn a_gripper_is_confirmed_once_while_it_answers() {
     let mut bench = Bench::new();
-    bench.cell.model.gripper_confirmed = false;
+    bench.cell.model.confirmed = ConfirmedGripper::None;
     bench.gripper_answers = false;
     let confirm = |bench: &mut Bench| answer(&bench.feed(order(Order::ConfirmGripper))).expect("an answer");
     let refused = confirm(&mut bench);
     assert!(!refused.accepted && refused.message.contains("10.0.0.3:502, unit 65"), "{refused:?}");
     bench.gripper_answers = true;
     assert!(!answer(&bench.feed(order(Order::Arm))).expect("an answer").accepted);
-    assert_eq!(confirm(&mut bench), Reply::accept("confirmed: the gripper is at 10.0.0.3:502, unit 65"));
-    assert!(confirm(&mut bench).message.starts_with("confirmed already"));
+    let confirmed = confirm(&mut bench);
+    assert_eq!(confirmed.message, "confirmed: the gripper is at 10.0.0.3:502, unit 65");
+    assert_eq!(confirmed.confirmed, Some(ConfirmedGripper::AtAddress));
+    let again = confirm(&mut bench);
+    assert!(again.message.starts_with("confirmed already"));
+    assert_eq!(again.confirmed, confirmed.confirmed, "the disk may have been full before");
     assert!(answer(&bench.feed(order(Order::Arm))).expect("an answer").accepted);
+}
+
+/// A serial number `s1` or `s2` in its registers.
+fn with_serial(last: u8) -> Option<Identity> {
+    let mut serial = [0; 16];
+    serial[0] = u16::from_be_bytes([b's', last]);
+    Some(Identity { serial: Some(serial), ..Identity::default() })
+}
+
+#[test]
+fn a_gripper_is_confirmed_once_wherever_it_is_and_another_one_again() {
+    let mut bench = Bench::new();
+    bench.cell.model.confirmed = ConfirmedGripper::AtAddress;
+    bench.identity = with_serial(b'1');
+    let order = |bench: &mut Bench, wanted: Order| answer(&bench.feed(order(wanted))).expect("an answer");
+    let reply = order(&mut bench, Order::Arm);
+    assert!(reply.message.contains("never confirmed"), "known by its address so far: {reply:?}");
+    let reply = order(&mut bench, Order::ConfirmGripper);
+    assert_eq!(reply.confirmed, Some(ConfirmedGripper::Serial("s1".into())));
+    assert!(reply.message.contains("serial number s1"), "{reply:?}");
+    for (identity, words) in [
+        (with_serial(b'2'), "another gripper"),
+        (Some(Identity::default()), "another gripper"),
+        (None, "was not read yet"),
+    ] {
+        bench.identity = identity;
+        let reply = order(&mut bench, Order::Arm);
+        assert!(!reply.accepted && reply.message.contains(words), "{identity:?}: {reply:?}");
+    }
+    bench.identity = with_serial(b'1');
+    bench.cell.model.addresses.gripper = "10.0.0.9:502, unit 65".into();
+    assert!(order(&mut bench, Order::Arm).accepted, "at another address it is still the same");
 }
 
 #[test]
