@@ -250,7 +250,11 @@ impl OnHand<'_> {
         let (code, _, said) = self.calibrate(&["table", "--touches", "other.yaml"]);
         assert!(code == Some(1) && said.contains("touched with robot other-"), "{said}");
         assert!(!said.contains("pose 1/"), "{said}");
-        assert_eq!(self.sim.robot().controller().core.base_from_flange(), stands);
+        let after = self.sim.robot().controller().core.base_from_flange();
+        let moved_m = (after.translation.vector - stands.translation.vector).norm();
+        let turned_rad = after.rotation.angle_to(&stands.rotation);
+        // An arm that has just stopped creeps by up to 0.1 mrad a joint.
+        assert!(moved_m < 5e-4 && turned_rad < 1e-3, "{moved_m} m, {turned_rad} rad");
     }
 
     /// A tip that is 3 mm longer than was said, which hands turned differently bring to light: nothing is
