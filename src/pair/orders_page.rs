@@ -55,7 +55,7 @@ pub fn line(given: &Given, found: &Found) -> String {
         happens.push("power or brakes change".to_string());
     }
     happens.extend(match found.held {
-        (true, true) => Some("what is held stays held".to_string()),
+        (true, true) => Some("the object stays held".to_string()),
         (true, false) => Some("nothing is held in the end".to_string()),
         (false, _) => None,
     });

@@ -56,7 +56,7 @@ impl ComputeBox {
         ComputeBox { config, ..ComputeBox::default() }
     }
 
-    /// A client connects; its number. The line of whoever is not served any more hangs up.
+    /// Takes in a client and returns its number. A client that gets or keeps no place is disconnected.
     pub fn enter(&mut self, now_s: f64, line: &Line) -> u64 {
         self.last += 1;
         self.free(now_s);

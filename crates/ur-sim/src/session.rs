@@ -128,7 +128,7 @@ enum Kind {
 
 /// A client of the gripper's box.
 struct BoxClient {
-    /// `None` where the hand has another gripper: its port serves whoever comes.
+    /// `None` if another gripper is mounted: its port serves several clients.
     number: Option<u64>,
     /// How often the cable was pulled before the last bytes of the client.
     silences: u64,

@@ -13,7 +13,7 @@ use tokio::net::{TcpSocket, TcpStream};
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 
-/// How long what is to be sent may wait for the peer, in the cell's time.
+/// Bytes may wait this long for the peer to read, in the cell's time.
 const WRITE_WITHIN: Duration = Duration::from_secs(2);
 
 /// Most reads of one connection in one go: a peer that floods must not keep the others from their turn.
