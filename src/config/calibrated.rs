@@ -150,7 +150,8 @@ mod tests {
         let (_folder, config) = example();
         let hand_eye = std::fs::read_to_string(&config.calibration.hand_eye).unwrap();
         let date = hand_eye.lines().find(|line| line.starts_with("date:")).unwrap();
-        spoil(&config.calibration.table, date, &format!("{date}\nhand_eye_{date}"));
+        let table = std::fs::read_to_string(&config.calibration.table).unwrap();
+        assert!(table.contains(&format!("\nhand_eye_{date}\n")), "{table}");
         read_calibration(&config).unwrap();
         spoil(&config.calibration.hand_eye, date, "date: \"2026-11-27T00:00:00Z\"");
         let reported = read_calibration(&config).unwrap_err();

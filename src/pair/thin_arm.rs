@@ -9,7 +9,8 @@ use cell_motion::path::ArmModel;
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Point3, Vector3};
 use ur_arm::bodies::{Capsule, HARMLESS_PAIRS, capsules};
-use ur_arm::kinematics::{ArmModel as Nominal, DhParameters, link_frames, model_of};
+use ur_arm::chain::Chain;
+use ur_arm::kinematics::{DhParameters, model_of};
 
 /// How much thinner its capsules are than those of the check, m.
 pub const THINNER_M: f64 = 0.01;
@@ -17,7 +18,7 @@ pub const THINNER_M: f64 = 0.01;
 /// Arm, gripper and table as a few thin bodies.
 #[derive(Clone, Debug)]
 pub struct ThinModel {
-    nominal: DhParameters,
+    dh: DhParameters,
     base_from_table: Isometry3<f64>,
     /// Frame (0 to 6), and the capsule in it.
     bodies: Vec<(usize, Capsule)>,
@@ -27,12 +28,12 @@ pub struct ThinModel {
 impl ThinModel {
     /// The published capsules, thinner, and a tool in the flange's frame.
     pub fn of(model: &ArmModel, tool: Capsule) -> ThinModel {
-        ThinModel::new(model_of(&model.dh), model.base_from_table, tool)
+        ThinModel::new(&model.dh, model.base_from_table, tool)
     }
 
-    /// The same of an arm as it is built, before a calibration.
-    pub fn new(arm: &Nominal, base_from_table: Isometry3<f64>, tool: Capsule) -> ThinModel {
-        let links = capsules(arm.name).into_iter().flatten().enumerate();
+    /// The same of an arm with these parameters.
+    pub fn new(dh: &DhParameters, base_from_table: Isometry3<f64>, tool: Capsule) -> ThinModel {
+        let links = capsules(model_of(dh).name).into_iter().flatten().enumerate();
         let thinner = |capsule: &Capsule| Capsule { radius: capsule.radius - THINNER_M, ..*capsule };
         let mut bodies: Vec<(usize, Capsule)> = links
             .flat_map(|(frame, each)| each.iter().map(move |capsule| (frame, thinner(capsule))))
@@ -50,7 +51,7 @@ impl ThinModel {
                 }
             }
         }
-        ThinModel { nominal: arm.dh, base_from_table, bodies, pairs }
+        ThinModel { dh: *dh, base_from_table, bodies, pairs }
     }
 
     /// Whether all distances on a straight way in joint space are at least `distance` (m), with samples at
@@ -67,7 +68,7 @@ impl ThinModel {
     /// The least distance of two bodies, or of one over the table, m; not positive where they overlap.
     pub fn least_at(&self, q: &Joints) -> f64 {
         let mut frames = vec![Isometry3::identity()];
-        frames.extend(link_frames(&self.nominal, q));
+        frames.extend(Chain::of(&self.dh).placed(q).bodies);
         let placed: Vec<[Point3<f64>; 2]> = self
             .bodies
             .iter()

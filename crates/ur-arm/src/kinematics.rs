@@ -12,7 +12,9 @@
 mod tests;
 
 use crate::chain::Chain;
-pub use crate::models::{ARM_MODELS, ArmModel, DhParameters, model_of};
+use crate::links::all_over;
+pub use crate::links::model_of;
+pub use crate::models::{ARM_MODELS, ArmModel, DhParameters};
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Matrix6, Vector3, Vector6};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
@@ -73,7 +75,7 @@ pub fn forward(dh: &DhParameters, q: &Joints) -> Isometry3<f64> {
     Chain::of(dh).forward(q)
 }
 
-/// `base_from_link` of the six links, base to flange: origins and axes for height checks and the Jacobian.
+/// `base_from_link` of the six links, base to flange, where the links truly are (see [`Chain`]).
 pub fn link_frames(dh: &DhParameters, q: &Joints) -> [Isometry3<f64>; 6] {
     Chain::of(dh).frames(q)
 }
@@ -140,18 +142,11 @@ fn at_singularities(
         [wrist, elbow, shoulder].into_iter().filter(|near| *near).count() > 1
     });
     let nearest = near.iter().map(|(_, start)| *start).take(NEAREST).filter(|_| at_boundary || two_meet);
-    let starts = nearest.chain(anywhere().filter(|_| two_meet));
+    let starts = nearest.chain(all_over(ANYWHERE).filter(|_| two_meet));
     let found = starts.filter_map(|start| refine_damped(dh, base_from_flange, start));
     let mut solutions = Vec::new();
     found.take(SINGULAR_SOLUTIONS).for_each(|joints| note(&mut solutions, Some(joints)));
     solutions
-}
-
-/// Joint positions all over, by the fractional parts of multiples of roots: as even as random ones, and the
-/// same each time.
-fn anywhere() -> impl Iterator<Item = Joints> {
-    let roots = [2.0_f64, 3.0, 5.0, 7.0, 11.0, 13.0].map(f64::sqrt);
-    (1..=ANYWHERE).map(move |k| Joints(roots.map(|root| wrap(TAU * (k as f64 * root).fract()))))
 }
 
 /// How far the wrist is from the shoulder's axis, m.

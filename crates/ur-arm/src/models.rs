@@ -1,7 +1,6 @@
 //! The vendor's arms: nominal Denavit-Hartenberg parameters and joint speeds.
 //!
-//! In: nothing, or the calibrated parameters of an arm. Out: [`ARM_MODELS`], and which of them it is. Plain
-//! data, apart from the kinematics that are computed from it.
+//! In: nothing. Out: [`ARM_MODELS`]. Plain data, apart from the kinematics that are computed from it.
 
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
@@ -96,13 +95,3 @@ pub const ARM_MODELS: &[ArmModel] = &[
         joint_speed: LARGE,
     },
 ];
-
-/// The arm that calibrated parameters belong to. The offsets d2 and d3 along the parallel axes say nothing:
-/// a calibration trades them against each other.
-pub fn model_of(dh: &DhParameters) -> &'static ArmModel {
-    let distance = |other: &DhParameters| {
-        let a = (0..6).map(|i| (dh.a[i] - other.a[i]).abs()).sum::<f64>();
-        a + [0, 4, 5].map(|i: usize| (dh.d[i] - other.d[i]).abs()).iter().sum::<f64>()
-    };
-    ARM_MODELS.iter().min_by(|a, b| distance(&a.dh).total_cmp(&distance(&b.dh))).unwrap_or(&ARM_MODELS[0])
-}

@@ -30,6 +30,7 @@ use parry3d_f64::transformation::try_convex_hull;
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
 use std::collections::{BTreeMap, BTreeSet};
+use ur_arm::chain::Chain;
 use ur_arm::kinematics::link_frames;
 
 /// Corners by which round outlines are drawn.
@@ -129,7 +130,7 @@ impl Drawing {
     /// Frames of the links with the joints at `q`.
     pub fn moving_frames(&self, now: Timestamp, q: &Joints) -> Option<FrameTransforms> {
         let cell = self.cell.as_ref()?;
-        let links = link_frames(&cell.arm.dh, q);
+        let links = Chain::of(&cell.arm.dh).placed(q).bodies;
         let names = (1..).map(|link| format!("link_{link}"));
         let mut transforms: Vec<_> =
             links.iter().zip(names).map(|(at, name)| frame(now, "base", &name, at)).collect();

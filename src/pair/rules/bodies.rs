@@ -17,7 +17,8 @@ use nalgebra::{Isometry3, Point3};
 use rearrange::geometry::pose::Pose2;
 use std::collections::BTreeMap;
 use ur_arm::bodies::{Capsule, capsules};
-use ur_arm::kinematics::{DhParameters, link_frames};
+use ur_arm::chain::Chain;
+use ur_arm::kinematics::DhParameters;
 use ur_sim::motion::FRAME_SECONDS;
 use ur_sim::motion::safety::SafetyPlane;
 use ur_sim::world::section::Section;
@@ -51,7 +52,7 @@ const ALONG: usize = 5;
 #[derive(Debug)]
 pub(super) struct Bodies {
     arm: ThinModel,
-    nominal: DhParameters,
+    dh: DhParameters,
     links: Vec<(usize, Capsule)>,
     /// Corners of gripper and camera in the flange frame.
     tool: Vec<(&'static str, Point3<f64>)>,
@@ -67,16 +68,16 @@ pub(super) struct Bodies {
 impl Bodies {
     /// Of this cell, as it truly is.
     pub fn new(stage: &Stage) -> Bodies {
-        let (nominal, model) = (&stage.controller.arm, &stage.model.arm);
+        let (dh, model) = (&stage.controller.dh, &stage.model.arm);
         let gripper = &stage.world.gripper;
         let z = gripper.flange_from_tool.translation.z;
         // The gripper's body; its cups go down to the table.
         let rod = Capsule { a: [0.0, 0.0, 0.4 * z], b: [0.0, 0.0, 0.6 * z], radius: 0.03 };
         let equipment = model.bodies.drawn().filter(|body| body.part == Part::Equipment);
-        let links = capsules(nominal.name).into_iter().flatten().enumerate();
+        let links = capsules(stage.controller.arm.name).into_iter().flatten().enumerate();
         Bodies {
-            arm: ThinModel::new(nominal, stage.world.base_from_table, rod),
-            nominal: nominal.dh,
+            arm: ThinModel::new(dh, stage.world.base_from_table, rod),
+            dh: *dh,
             links: links
                 .skip(2)
                 .flat_map(|(frame, each)| each.iter().map(move |one| (frame, *one)))
@@ -197,7 +198,7 @@ impl Bodies {
         if self.equipment.is_empty() && self.planes.is_empty() {
             return f64::INFINITY;
         }
-        let frames = link_frames(&self.nominal, &truth.q);
+        let frames = Chain::of(&self.dh).placed(&truth.q).bodies;
         let links = self.links.iter().flat_map(|(frame, capsule)| {
             let radius = capsule.radius - THINNER_M;
             along(capsule).map(move |point| ("the arm", frames[*frame - 1] * point, radius))

@@ -4,9 +4,8 @@
 //! configuration. Out: [`Bodies`], which belongs to the arm's model, and [`Room`], what lies on the table
 //! while one path is followed: both are what the swept check (`sweep`) goes through pair by pair. Pure.
 //!
-//! Links are capsules in the frames of the nominal arm (`ur_arm::bodies`): a calibration trades large
-//! opposite offsets along the parallel axes, which would carry them away. Tool and load hang on the
-//! calibrated flange.
+//! Links are capsules (`ur_arm::bodies`) in the frames of this very arm, tool and load hang on its flange. A
+//! link is wider by as much as its two axes deviate from those that its capsules were measured about.
 
 pub mod cell;
 mod chains;
@@ -19,7 +18,7 @@ mod tests;
 use crate::bodies::cell::{CellBodies, NamedShape};
 pub use crate::bodies::chains::TOOL_FRAME;
 
-use crate::bodies::chains::Chains;
+use crate::bodies::chains::poses;
 use crate::bodies::shape::{Shape, apart};
 use cell_values::units::Joints;
 use nalgebra::Isometry3;
@@ -30,9 +29,12 @@ use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 use std::sync::Arc;
 use ur_arm::bodies::{BODY_NAMES, HARMLESS_PAIRS, capsules};
+use ur_arm::chain::Chain;
 use ur_arm::kinematics::{ArmModel as Model, DhParameters, model_of};
+use ur_arm::links::misfits;
 
-/// Distance kept between parts of the arm, m: what calibration moves the links against their nominal frames.
+/// Distance kept between parts of the arm, m, besides what [`misfits`] knows: offsets along the parallel
+/// axes that cancel each other, and the tolerances of the bodies.
 const SELF_MARGIN_M: f64 = 0.005;
 
 /// What a body of an arm without published meshes is wider by than that of the arm it resembles most, m.
@@ -107,10 +109,10 @@ impl Body {
 /// Everything of the cell that is the same for every path.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct Bodies {
-    /// Nominal kinematics: where the links are.
-    pub nominal: DhParameters,
-    /// Calibrated kinematics: where the flange is.
-    pub dh: DhParameters,
+    /// The arm's links.
+    chain: Chain,
+    /// How much wider each link is than its capsules, m.
+    misfits: [f64; 6],
     base_from_table: Isometry3<f64>,
     flange_from_tool: Isometry3<f64>,
     /// Width and depth of the table's workspace, m.
@@ -170,9 +172,10 @@ pub struct Surroundings {
 impl Bodies {
     /// The bodies of a cell with these calibrated kinematics.
     pub fn new(dh: &DhParameters, surroundings: &Surroundings) -> Bodies {
-        let model = model_of(dh);
         let cell = &surroundings.cell;
-        let mut moving = links(model, cell.cable_m);
+        let model = model_of(dh);
+        let misfits = misfits(dh, &model.dh);
+        let mut moving = links(model, &misfits, cell.cable_m);
         let tool = |named: &NamedShape, part| Body::new(&named.name, part, TOOL_FRAME, named.shape.clone());
         moving.extend(cell.tool.iter().map(|named| tool(named, Part::Tool)));
         moving.extend(cell.cups.iter().map(|named| tool(named, Part::Cups)));
@@ -185,8 +188,8 @@ impl Bodies {
         let known = cell.equipment.iter();
         fixed.extend(known.map(|named| Body::new(&named.name, Part::Equipment, 0, named.shape.clone())));
         let mut bodies = Bodies {
-            nominal: model.dh,
-            dh: *dh,
+            chain: Chain::of(dh),
+            misfits,
             base_from_table: surroundings.base_from_table,
             flange_from_tool: surroundings.flange_from_tool,
             table: surroundings.table,
@@ -244,14 +247,16 @@ impl Bodies {
 
     /// False where a body on the flange is within the margin of wrist 2 in every position of joint 6, which
     /// alone moves the two against each other: it is built so, and no path could keep the margin. That holds
-    /// for the whole body: a long bracket is better entered as several.
+    /// for the whole body: a long bracket is better entered as several. What the link may be wider by does
+    /// not count.
     fn can_part(&self, link: &Body, tool: &Body, margin: f64) -> bool {
         if link.part != Part::Link(5) {
             return true;
         }
         (0..RING).any(|k| {
             let frames = self.frames(&Joints([0.0, 0.0, 0.0, 0.0, 0.0, TAU * k as f64 / RING as f64]));
-            apart(&link.shape, &frames[link.frame], &tool.shape, &frames[tool.frame]) > margin
+            apart(&link.shape, &frames[link.frame], &tool.shape, &frames[tool.frame])
+                > margin - self.misfits[4]
         })
     }
 
@@ -271,27 +276,22 @@ impl Bodies {
     /// True of the end of the upper arm that the shoulder's axis goes through.
     fn is_at_shoulder(&self, body: &Body) -> bool {
         let middle = body.shape.middle();
-        (middle.x + self.nominal.a[1]).hypot(middle.y) < body.shape.thickness()
+        (middle.x - self.chain.links()[1].translation.x.abs()).hypot(middle.y) < body.shape.thickness()
     }
 
     /// Metres that `body` moves at most, seen from frame `seen_from`, for each radian of each joint.
     fn levers(&self, body: &Body, seen_from: usize) -> [f64; 6] {
         let frame = body.frame.min(6);
+        let at = |link: usize| self.chain.links()[link].translation.vector;
         let chain = |joint: usize| -> f64 {
-            let links = (joint + 1..frame).map(|i| self.longest(|dh| dh.a[i].hypot(dh.d[i]))).sum::<f64>();
-            self.longest(|dh| dh.a[joint].abs()) + links + body.shape.farthest()
+            let links = (joint + 1..frame).map(|link| at(link).norm()).sum::<f64>();
+            at(joint).xy().norm() + links + body.shape.farthest()
         };
         std::array::from_fn(
             |joint| {
                 if joint < seen_from.min(6) || joint >= frame { 0.0 } else { chain(joint) }
             },
         )
-    }
-
-    /// The larger of the two arms' figures. What a calibration trades along the parallel axes adds to the
-    /// bound and takes nothing from it.
-    fn longest(&self, figure: impl Fn(&DhParameters) -> f64) -> f64 {
-        figure(&self.nominal).max(figure(&self.dh))
     }
 
     /// What moves with the arm, and what stands, for a drawing.
@@ -301,11 +301,7 @@ impl Bodies {
 
     /// Poses of the frames 0 to 6 and of the flange, in the base frame.
     pub fn frames(&self, q: &Joints) -> [Pose; 8] {
-        self.chains().frames(q)
-    }
-
-    fn chains(&self) -> Chains {
-        Chains::new(&self.nominal, &self.dh)
+        poses(&self.chain, q)
     }
 }
 
@@ -317,7 +313,7 @@ fn against(mut levers: [f64; 6], other: &Shape) -> [f64; 6] {
 }
 
 /// The arm's own capsules. Hoses and cables lie round forearm and wrists, `cable_m` wide.
-fn links(model: &Model, cable_m: f64) -> Vec<Body> {
+fn links(model: &Model, misfits: &[f64; 6], cable_m: f64) -> Vec<Body> {
     let resembles = format!("{}e", model.name);
     let (links, more) = match (capsules(model.name), capsules(&resembles)) {
         (Some(links), _) => (links, 0.0),
@@ -326,8 +322,9 @@ fn links(model: &Model, cable_m: f64) -> Vec<Body> {
     };
     let bodies = links.iter().enumerate().flat_map(|(link, capsules)| {
         let cable = if link >= 3 { cable_m } else { 0.0 };
+        let wider = more + cable + link.checked_sub(1).map_or(0.0, |link| misfits[link]);
         capsules.iter().map(move |capsule| {
-            let shape = Shape::capsule(capsule.a, capsule.b, capsule.radius + more + cable);
+            let shape = Shape::capsule(capsule.a, capsule.b, capsule.radius + wider);
             Body::new(link_name(link), Part::Link(link), link, shape)
         })
     });

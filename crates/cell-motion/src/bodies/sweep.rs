@@ -12,7 +12,7 @@
 
 use crate::bodies::nearing::{Nearing, Twist, bend};
 use crate::bodies::shape::{apart, apart_from, depth_is_known, surely_apart};
-use crate::bodies::{Bodies, Body, Chains, Other, Pair, Part, Room, against};
+use crate::bodies::{Bodies, Body, Other, Pair, Part, Room, against, chains};
 use cell_values::units::Joints;
 use parry3d_f64::math::{Pose, Vector};
 
@@ -118,7 +118,6 @@ pub struct Sweep<'a> {
     /// Pairs with the same levers, and to which group each pair belongs.
     groups: Vec<Group>,
     group_of: Vec<usize>,
-    chains: Chains,
     /// For each pair the direction in which the one body was seen from the other last, in that one's frame.
     towards: Vec<Vector>,
     /// Memory that is used again: the pairs of the present piece that are due now and later, and a place.
@@ -139,7 +138,6 @@ impl<'a> Sweep<'a> {
             watched: [const { Vec::new() }; 3],
             groups: Vec::new(),
             group_of: Vec::with_capacity(pairs.len()),
-            chains: bodies.chains(),
             towards: vec![Vector::ZERO; pairs.len()],
             due: Vec::new(),
             later: Vec::new(),
@@ -384,7 +382,7 @@ impl<'a> Sweep<'a> {
     }
 
     fn go_to(&self, q: &Joints, way: &[f64; 6], place: &mut Place) {
-        let (frames, twists) = self.chains.moving(q, way);
+        let (frames, twists) = chains::moving(&self.bodies.chain, q, way);
         let moving = self.bodies.moving.iter().chain(&self.room.load);
         place.middles.clear();
         place.middles.extend(moving.map(|body| frames[body.frame] * body.shape.middle()));

@@ -14,7 +14,9 @@ use parry3d_f64::math::Pose;
 use rand::{RngExt, SeedableRng};
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
-use ur_arm::kinematics::DhParameters;
+use ur_arm::kinematics::{DhParameters, model_of};
+use ur_arm::links::misfits;
+use ur_arm::testing::PUBLISHED;
 
 /// The demo's arm with this beside it.
 fn beside(name: &str, shape: Shape) -> ArmModel {
@@ -501,4 +503,38 @@ fn nowhere_on_an_accepted_way_is_anything_nearer_than_it_may() {
         }
     }
     assert!(refused > 50, "ways that meet something: {refused}");
+}
+
+/// The tables of real arms put frames hundreds of metres away along their axes. What is checked lies where
+/// the arm is, no lever is longer than the arm, and capsules are wider by some millimetres at most.
+#[test]
+fn the_bodies_of_a_real_arm_are_where_its_links_are() {
+    let far = PUBLISHED.iter().filter(|dh| dh.d[1].abs() > 100.0).count();
+    assert_eq!(far, 2, "tables as those of real arms");
+    for dh in PUBLISHED {
+        let (bodies, nominal) = (Bodies::bare(&dh), Bodies::bare(&model_of(&dh).dh));
+        let misfits = misfits(&dh, &model_of(&dh).dh);
+        assert!((1e-3..8e-3).contains(&misfits[2]), "{misfits:?}");
+        for (body, ideal) in bodies.moving.iter().zip(&nominal.moving) {
+            let longest = bodies.levers(body, 0).into_iter().fold(0.0, f64::max);
+            assert!(longest < 2.5, "{}: {longest} m", body.name);
+            let wider = body.shape.thickness() - ideal.shape.thickness();
+            let misfit = match body.part {
+                super::Part::Link(link @ 1..) => misfits[link - 1],
+                _ => 0.0,
+            };
+            assert!((wider - misfit).abs() < 1e-12, "{}: {wider} m", body.name);
+        }
+        for k in 0..50 {
+            let q =
+                Joints(std::array::from_fn(|joint| (f64::from(k) * 0.7 + joint as f64 * 1.3).sin() * 3.0));
+            let pairs = bodies.frames(&q).into_iter().zip(nominal.frames(&q));
+            for (link, (found, ideal)) in pairs.enumerate() {
+                let apart = (found.translation - ideal.translation).length();
+                assert!(apart < 8e-3, "link {link} at {q:?}: {apart} m");
+                let turned = found.rotation.angle_between(ideal.rotation);
+                assert!(turned < 0.025, "link {link} at {q:?}: {turned} rad");
+            }
+        }
+    }
 }

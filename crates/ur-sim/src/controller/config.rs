@@ -10,10 +10,13 @@ use crate::motion::rest::RestConfig;
 use crate::motion::rounding::BlendConfig;
 use crate::motion::safety::SafetyLimits;
 use cell_values::units::Joints;
+use nalgebra::{UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::TAU;
+use ur_arm::chain::Chain;
 use ur_arm::kinematics::{ARM_MODELS, ArmModel, DhParameters};
+use ur_arm::links::dh_of;
 
 /// Standard deviation of the arm's calibrated parameters about the nominal ones unless set otherwise: m,
 /// rad.
@@ -55,6 +58,8 @@ pub struct ControllerConfig {
     pub tcp: [f64; 6],
     /// Payload of the installation, kg.
     pub payload: f64,
+    /// Its centre of gravity in the flange frame, m.
+    pub payload_centre: [f64; 3],
     /// Ticks a second that come from the wires of the two encoders, negative backwards.
     pub encoders: [f64; 2],
     /// Belts in the table that these encoders count.
@@ -87,6 +92,7 @@ impl ControllerConfig {
             rest: RestConfig::default(),
             tcp: [0.0; 6],
             payload: 0.0,
+            payload_centre: [0.0; 3],
             encoders: [0.0; 2],
             belts: Vec::new(),
             seed,
@@ -105,8 +111,9 @@ impl ControllerConfig {
     }
 }
 
-/// Nominal parameters with the deltas of one arm: normal, with standard deviations `std_m` (m) of each
-/// length and `std_rad` (rad) of each angle.
+/// The table of one arm as its controller reports it: the deviations of its links from nominal ones are
+/// normal, with standard deviations `std_m` (m) of each length and `std_rad` (rad) of each angle. Shoulder,
+/// elbow and wrist 1 are not quite parallel, so d2 and d3 become large.
 pub fn calibrated(nominal: &DhParameters, seed: u64, std_m: f64, std_rad: f64) -> DhParameters {
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x5572_3565);
     // The sum of twelve uniform numbers is normal enough and needs no further crate.
@@ -118,5 +125,12 @@ pub fn calibrated(nominal: &DhParameters, seed: u64, std_m: f64, std_rad: f64) -
         dh.alpha[i] += normal(std_rad);
         dh.theta[i] += normal(std_rad);
     }
-    dh
+    if std_rad == 0.0 {
+        return dh;
+    }
+    let mut links = *Chain::of(&dh).links();
+    for link in &mut links[1..3] {
+        *link *= UnitQuaternion::from_axis_angle(&Vector3::y_axis(), normal(std_rad));
+    }
+    dh_of(&links).unwrap_or(dh)
 }

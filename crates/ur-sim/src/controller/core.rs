@@ -121,7 +121,7 @@ impl Core {
             flange: Isometry3::identity(),
             payload: Payload {
                 mass: config.payload,
-                centre: [0.0; 3],
+                centre: config.payload_centre,
                 inertia: [0.0; 6],
                 gravity: [0.0, 0.0, cell_values::units::GRAVITY],
             },

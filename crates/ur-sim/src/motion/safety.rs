@@ -10,7 +10,8 @@
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Point3, Vector3};
 use ur_arm::bodies::{BODY_NAMES, Capsule, HARMLESS_PAIRS, capsules};
-use ur_arm::kinematics::{DhParameters, link_frames};
+use ur_arm::chain::Chain;
+use ur_arm::kinematics::DhParameters;
 
 /// Overlap of two capsules that is none of the links.
 const TOLERANCE_M: f64 = 0.02;
@@ -84,7 +85,7 @@ impl SafetyLimits {
         q: &Joints,
         tcp: &Vector3<f64>,
     ) -> Option<Intrusion> {
-        let frames = link_frames(dh, q);
+        let frames = Chain::of(dh).placed(q).bodies;
         let about = self.tool_radius.unwrap_or(0.0);
         let points = [("tool", *tcp, about), ("elbow", frames[1].translation.vector, 0.0)];
         let planes = points.iter().filter_map(|(name, point, about)| {
@@ -195,6 +196,7 @@ fn distance([a, b]: &[Point3<f64>; 2], [c, d]: &[Point3<f64>; 2]) -> f64 {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use ur_arm::kinematics::link_frames;
 
     fn intrusion(q: [f64; 6]) -> Option<Intrusion> {
         let dh = DhParameters::UR5E;
