@@ -1,6 +1,10 @@
 //! A recording of a real arm against the simulated one: read, carried out again, compared.
 
+pub mod alignment;
+
 pub mod comparison;
+
+pub mod kinematics;
 
 pub mod motions;
 
@@ -9,3 +13,6 @@ pub mod recording;
 pub mod replay;
 
 pub mod track;
+
+#[cfg(test)]
+mod recorded_arm;

@@ -1,45 +1,56 @@
 //! `celld-sim compare CSV SCRIPT`: is the simulated arm where the real one was?
 //!
-//! In: a recording that ur_rtde's recorder made while a real arm carried out a program, and the program.
-//! Out: tables or one JSON object, and the exit code: 0 within the tolerances, 1 beyond, 2 when there is
-//! nothing to compare, with the reason on standard error.
+//! In: a recording that ur_rtde's recorder made while a real arm carried out a program, the program, and the
+//! arm's own kinematics where they are at hand. Out: tables or one JSON object, and the exit code: 0 within
+//! the tolerances, 1 beyond, 2 when there is nothing to compare, with the reason on standard error.
 
 use crate::command::check_script::program_in;
 use crate::command::values;
 use crate::compare::comparison::{Comparison, Tolerances, compare};
+use crate::compare::kinematics::read_kinematics;
 use crate::compare::motions::Motion;
 use crate::compare::recording::read_recording;
 use crate::compare::replay::{Replayed, replay};
 use crate::compare::track::{Change, STATES, Track};
-use cell_edge::files::read_named;
+use cell_edge::files::{read_bytes, read_named};
 use cell_edge::terminal::{complain, print, read_text, within};
 use clap::{Args, ValueEnum};
 use rearrange::document::chain::chain;
 use serde_json::json;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
-use ur_arm::kinematics::ArmModel;
+use ur_arm::kinematics::{ArmModel, DhParameters, model_of};
 
 /// Recordings have some MB a minute.
 const LARGEST_RECORDING_BYTES: u64 = 1 << 30;
 
+/// A description has 1 KB, what a controller sends some 10 KB a second.
+const LARGEST_KINEMATICS_BYTES: u64 = 1 << 24;
+
 /// `celld-sim compare`
 #[derive(Args, Clone, Debug)]
 pub struct CompareArgs {
-    /// The recording: what `RTDEReceiveInterface.startFileRecording` wrote, with timestamp and actual_q.
+    /// Recording by `RTDEReceiveInterface.startFileRecording`. Needs actual_q, and timestamp or --rate.
     csv: PathBuf,
     /// The URScript program that the real arm carried out.
     script: PathBuf,
     /// Which arm it was.
     #[arg(long, value_name = "NAME", value_parser = values::model, default_value = "UR5e")]
     model: ArmModel,
+    /// Its own kinematics: the calibration.yaml of ROS (ur_calibration), or what port 30001 sends
+    /// (`timeout 2 nc ROBOT 30001 > arm.bin`). Without them those of the model.
+    #[arg(long, value_name = "FILE")]
+    kinematics: Option<PathBuf>,
+    /// How many samples a second has, where the recording has no timestamp.
+    #[arg(long, value_name = "HZ", value_parser = rate)]
+    rate: Option<f64>,
     /// Software version of its controller, as 5.13.0.
     #[arg(long, value_name = "VERSION", value_parser = values::software)]
     software: Option<[u32; 4]>,
     /// Most difference of a joint's position at any time, rad.
     #[arg(long, value_name = "RAD", value_parser = radians, default_value_t = 0.02)]
     joint_tolerance: f64,
-    /// Most difference of when a motion begins, how long it lasts and when a state changes, s.
+    /// Most difference of the pause before a motion, of how long it lasts and of when a state changes, s.
     #[arg(long, value_name = "S", value_parser = seconds, default_value_t = 0.1)]
     time_tolerance: f64,
     /// Tables for people, or one JSON object.
@@ -57,6 +68,10 @@ enum Format {
 
 fn radians(text: &str) -> Result<f64, String> {
     within(text, 0.0..=10.0, "rad")
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    within(text, 1.0..=1000.0, "Hz")
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
@@ -91,10 +106,11 @@ pub fn run(args: &CompareArgs) -> u8 {
 }
 
 fn compared(args: &CompareArgs) -> Result<(Comparison, Vec<String>), String> {
-    let recorded = recording(&args.csv)?;
+    let recorded = recording(&args.csv, args.rate)?;
     let program = program_in(&args.script.display().to_string(), &read_text(&args.script)?)?;
     let start = recorded.joints.first().copied().unwrap_or_default();
-    let which = Replayed { arm: args.model, software: args.software };
+    let kinematics = args.kinematics.as_deref().map(|path| kinematics(path, &args.model)).transpose()?;
+    let which = Replayed { arm: args.model, kinematics, software: args.software };
     let (simulated, remarks) =
         replay(program, &which, start, recorded.length_s()).map_err(|error| chain(&error))?;
     let comparison = compare(&recorded, &simulated).map_err(|error| {
@@ -104,11 +120,22 @@ fn compared(args: &CompareArgs) -> Result<(Comparison, Vec<String>), String> {
     Ok((comparison, remarks))
 }
 
-fn recording(path: &Path) -> Result<Track, String> {
+fn kinematics(path: &Path, model: &ArmModel) -> Result<DhParameters, String> {
+    let name = path.display().to_string();
+    let bytes = read_bytes(path, LARGEST_KINEMATICS_BYTES).map_err(|error| chain(&error))?;
+    let dh = read_kinematics(&bytes, &name)?;
+    let found = model_of(&dh).name;
+    if found != model.name {
+        return Err(format!("{name} describes a {found}, not a {}: use --model {found}", model.name));
+    }
+    Ok(dh)
+}
+
+fn recording(path: &Path, rate_hz: Option<f64>) -> Result<Track, String> {
     let name = path.display();
     let text = read_named(path, LARGEST_RECORDING_BYTES)
         .map_err(|error| format!("{name}: cannot be read: {}", error.reason()))?;
-    read_recording(&text).map_err(|complaints| {
+    read_recording(&text, rate_hz).map_err(|complaints| {
         let lines = complaints.iter().map(|complaint| format!("{name}: {complaint}"));
         lines.collect::<Vec<_>>().join("\n")
     })
@@ -126,13 +153,17 @@ fn page(comparison: &Comparison, remarks: &[String], breaches: &[String]) -> Str
         let (largest, at, rms) = (joint.largest_rad, joint.at_s, joint.rms_rad);
         let _ = writeln!(out, "{number:<5}  {largest:>12.5}  {at:>7.3}  {rms:>8.5}");
     }
-    let _ = writeln!(out, "\nmotion  recorded: begins, lasts, s  simulated: begins, lasts, s  largest, rad");
+    let _ = writeln!(
+        out,
+        "\nmotion  recorded: begins, lasts, s  simulated: begins, lasts, s  extra pause before, s  largest, rad"
+    );
     let times = |motion: Option<Motion>| {
         motion.map_or("-".to_owned(), |motion| format!("{:.3}  {:.3}", motion.begins_s, motion.lasts_s))
     };
     for (pair, number) in comparison.motions.iter().zip(1..) {
         let (real, ours) = (times(pair.recorded), times(pair.simulated));
-        let _ = writeln!(out, "{number:<6}  {real:>27}  {ours:>28}  {:>12.5}", pair.largest_rad);
+        let pause = pair.pause_longer_s.map_or("-".to_owned(), |pause_s| format!("{pause_s:+.3}"));
+        let _ = writeln!(out, "{number:<6}  {real:>27}  {ours:>28}  {pause:>21}  {:>12.5}", pair.largest_rad);
     }
     let _ = writeln!(out, "\nstate          recorded, simulated: number at s");
     let changes = |changes: &[Change]| {
@@ -200,6 +231,22 @@ mod tests {
     }
 
     #[test]
+    fn positions_alone_need_the_rate_and_kinematics_a_sound_file() {
+        let wide = ["--joint-tolerance", "0.05", "--time-tolerance", "0.2"];
+        let untimed: String = recorded(0.1, 0.5)
+            .lines()
+            .map(|line| line.split_once(',').map_or(line, |(_, rest)| rest).to_owned() + "\n")
+            .collect();
+        assert_eq!(code_of(&untimed, WORK, &wide), 2);
+        assert_eq!(code_of(&untimed, WORK, &[&wide[..], &["--rate", "500"]].concat()), 0);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("arm.yaml");
+        std::fs::write(&path, "kinematics: {}\n").unwrap();
+        let kinematics = ["--kinematics", path.to_str().unwrap()];
+        assert_eq!(code_of(&recorded(0.1, 0.5), WORK, &[&wide[..], &kinematics[..]].concat()), 2);
+    }
+
+    #[test]
     fn what_cannot_be_compared_has_a_code_of_its_own() {
         assert_eq!(code_of("nothing\n", WORK, &[]), 2);
         assert_eq!(code_of(&recorded(0.1, 0.5), "def work(\n", &[]), 2);
@@ -209,7 +256,7 @@ mod tests {
 
     #[test]
     fn the_page_has_every_joint_motion_state_and_breach() {
-        let track = read_recording(&recorded(0.1, 0.5)).unwrap();
+        let track = read_recording(&recorded(0.1, 0.5), None).unwrap();
         let comparison = compare(&track, &track).unwrap();
         let page = page(&comparison, &["C1A2 words".to_owned()], &["joint 0: too far".to_owned()]);
         for line in

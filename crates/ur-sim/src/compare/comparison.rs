@@ -1,8 +1,11 @@
 //! How far a simulated arm was from a recorded one. Pure.
 //!
-//! In: both tracks. Out: [`Comparison`]: joint positions over time from the first motion on, beginning and
-//! length of each motion, changes of the states; and what of it is beyond given tolerances, in sentences.
+//! In: both tracks. Out: [`Comparison`]: joint positions over time from the first motion on, the pause
+//! before each motion and its length, changes of the states; and what of it is beyond given tolerances, in
+//! sentences. Each motion is compared from its own beginning (`alignment`): a pause that is longer on one
+//! side is said once, not again as a distance of all that follows.
 
+use crate::compare::alignment::Alignment;
 use crate::compare::motions::{Motion, REST_S, motions};
 use crate::compare::track::{Change, STATES, Track};
 use serde::Serialize;
@@ -12,7 +15,7 @@ use serde::Serialize;
 pub struct Tolerances {
     /// Of a joint's position at any time, rad.
     pub joint_rad: f64,
-    /// Of the beginning and the length of a motion, and of when a state changes, s.
+    /// Of the pause before a motion, of its length, and of when a state changes, s.
     pub time_s: f64,
 }
 
@@ -45,8 +48,13 @@ pub struct MotionPair {
     pub recorded: Option<Motion>,
     /// The simulated one.
     pub simulated: Option<Motion>,
-    /// Largest difference of a joint while either moved, rad.
+    /// How much longer the simulated arm rested before it, s; absent for the first one.
+    pub pause_longer_s: Option<f64>,
+    /// Largest difference of a joint while either moved, both from its beginning on, rad.
     pub largest_rad: f64,
+    /// When it begins by the recording's clock, s.
+    #[serde(skip)]
+    at_s: f64,
 }
 
 /// A state over time; times after the first motion.
@@ -56,7 +64,8 @@ pub struct StatePair {
     pub name: &'static str,
     /// What was recorded.
     pub recorded: Vec<Change>,
-    /// What the simulated controller had, as long as the recording lasts.
+    /// What the simulated controller had, as long as the recording lasts; times of the recording, by the
+    /// motions.
     pub simulated: Vec<Change>,
 }
 
@@ -85,27 +94,26 @@ pub fn compare(recorded: &Track, simulated: &Track) -> Result<Comparison, Compar
     let began = recorded.first_motion_s().ok_or(CompareError::RecordedRests)?;
     let sim_began = simulated.first_motion_s().ok_or(CompareError::SimulatedRests)?;
     let interval_s = recorded.interval_s();
-    let errors: Vec<(f64, [f64; 6])> = recorded
-        .times_s
-        .iter()
-        .zip(&recorded.joints)
-        .filter(|(time, _)| **time >= began)
-        .filter_map(|(time, q)| {
-            let other = simulated.at(time - began + sim_began)?;
-            Some((time - began, std::array::from_fn(|joint| other[joint] - q[joint])))
-        })
-        .collect();
-    let real = motions(recorded, began, interval_s);
     let length_s = recorded.times_s.last().map_or(0.0, |last| last - began);
+    let real = motions(recorded, began, interval_s);
     let mut ours = motions(simulated, sim_began, interval_s);
-    ours.retain(|motion| motion.begins_s <= length_s);
+    let alignment = Alignment::of((recorded, began, &real), (simulated, sim_began, &ours));
+    let mut index = 0..;
+    ours.retain(|motion| index.next().is_some_and(|n| alignment.begins_s(n, motion.begins_s) <= length_s));
+    let samples = recorded.times_s.iter().zip(&recorded.joints).filter(|(time, _)| **time >= began);
+    let error = |(time, q): (&f64, &[f64; 6])| {
+        let at_s = time - began;
+        let other = simulated.at(alignment.simulated_s(at_s) + sim_began)?;
+        Some((at_s, std::array::from_fn(|joint| other[joint] - q[joint])))
+    };
+    let errors: Vec<(f64, [f64; 6])> = samples.filter_map(error).collect();
     Ok(Comparison {
         samples: errors.len(),
         interval_s,
         length_s,
         joints: std::array::from_fn(|joint| joint_error(&errors, joint)),
-        motions: pairs(&real, &ours, &errors),
-        states: states(recorded, simulated, (began, sim_began), length_s),
+        motions: pairs(&real, &ours, &errors, &alignment),
+        states: states(recorded, simulated, (began, sim_began), (&alignment, length_s)),
     })
 }
 
@@ -121,23 +129,49 @@ fn joint_error(errors: &[(f64, [f64; 6])], joint: usize) -> JointError {
     found
 }
 
-fn pairs(real: &[Motion], ours: &[Motion], errors: &[(f64, [f64; 6])]) -> Vec<MotionPair> {
+fn pairs(
+    real: &[Motion],
+    ours: &[Motion],
+    errors: &[(f64, [f64; 6])],
+    alignment: &Alignment,
+) -> Vec<MotionPair> {
+    let pause = |motions: &[Motion], index: usize| {
+        let before = motions.get(index.checked_sub(1)?)?;
+        Some(motions.get(index)?.begins_s - before.ends_s())
+    };
     let pair = |index: usize| {
         let (recorded, simulated) = (real.get(index).copied(), ours.get(index).copied());
-        let both = [recorded, simulated];
+        let aligned = simulated.map(|motion| {
+            let begins_s = alignment.begins_s(index, motion.begins_s);
+            Motion { begins_s, ..motion }
+        });
+        let both = [recorded, aligned];
         let begins = both.iter().flatten().map(|motion| motion.begins_s).fold(f64::INFINITY, f64::min);
         let ends = both.iter().flatten().map(Motion::ends_s).fold(f64::NEG_INFINITY, f64::max);
         let within = errors.iter().filter(|(at_s, _)| (begins..=ends).contains(at_s));
         let largest_rad = within.flat_map(|(_, error)| error).fold(0.0, |most, error| error.abs().max(most));
-        MotionPair { recorded, simulated, largest_rad }
+        let pauses = pause(real, index).zip(pause(ours, index));
+        MotionPair {
+            recorded,
+            simulated,
+            pause_longer_s: pauses.map(|(real, ours)| ours - real),
+            largest_rad,
+            at_s: begins,
+        }
     };
     (0..real.len().max(ours.len())).map(pair).collect()
 }
 
-fn states(recorded: &Track, simulated: &Track, origins: (f64, f64), length_s: f64) -> Vec<StatePair> {
+fn states(
+    recorded: &Track,
+    simulated: &Track,
+    origins: (f64, f64),
+    (alignment, length_s): (&Alignment, f64),
+) -> Vec<StatePair> {
     let pair = |(index, name): (usize, &'static str)| {
         let recorded = recorded.changes(index, origins.0)?;
         let mut simulated = simulated.changes(index, origins.1).unwrap_or_default();
+        simulated.iter_mut().for_each(|change| change.at_s = alignment.recorded_s(change.at_s));
         simulated.retain(|change| change.at_s <= length_s);
         Some(StatePair { name, recorded, simulated })
     };
@@ -172,26 +206,29 @@ impl MotionPair {
     /// `length_s` cuts off is not judged.
     fn difference(&self, number: usize, time_s: f64, length_s: f64) -> Option<String> {
         let (real, ours) = match (self.recorded, self.simulated) {
-            (None, Some(ours)) if ours.begins_s > length_s - time_s => return None,
+            (None, Some(_)) if self.at_s > length_s - time_s => return None,
             (Some(real), Some(ours)) => (real, ours),
             (Some(real), None) => {
                 return Some(format!("motion {number}: recorded alone, at {:.3} s", real.begins_s));
             }
-            (None, ours) => {
-                let at_s = ours.map_or(0.0, |motion| motion.begins_s);
-                return Some(format!("motion {number}: simulated alone, at {at_s:.3} s"));
-            }
+            (None, _) => return Some(format!("motion {number}: simulated alone, at {:.3} s", self.at_s)),
         };
-        let (late_s, longer_s) = (ours.begins_s - real.begins_s, ours.lasts_s - real.lasts_s);
-        if late_s.abs() > time_s {
+        let longer_s = ours.lasts_s - real.lasts_s;
+        if let Some(pause_s) = self.pause_longer_s.filter(|pause_s| pause_s.abs() > time_s) {
+            let by = longer_or_shorter(pause_s);
             return Some(format!(
-                "motion {number}: the simulated one begins {late_s:+.3} s from the recorded"
+                "motion {number}: the simulated pause before it is {by} than the recorded one"
             ));
         }
-        let sentence = format!("motion {number}: the simulated one lasts {longer_s:+.3} s of the recorded");
+        let by = longer_or_shorter(longer_s);
+        let sentence = format!("motion {number}: the simulated one is {by} than the recorded one");
         let cut = real.ends_s() > length_s - REST_S && longer_s > 0.0;
         (longer_s.abs() > time_s && !cut).then_some(sentence)
     }
+}
+
+fn longer_or_shorter(seconds: f64) -> String {
+    format!("{:.3} s {}", seconds.abs(), if seconds > 0.0 { "longer" } else { "shorter" })
 }
 
 impl Comparison {
@@ -254,7 +291,7 @@ mod tests {
         };
         assert!((ours.lasts_s - real.lasts_s - 0.5).abs() < 0.01);
         let said = comparison.breaches(&TOLERANCES).join("\n");
-        assert!(said.contains("joint 2: 0.0798 rad apart") && said.contains("lasts +0.498"), "{said}");
+        assert!(said.contains("joint 2: 0.0798 rad apart") && said.contains("is 0.500 s longer"), "{said}");
         assert!(said.contains("runtime_state: recorded 1"), "{said}");
         let wide = Tolerances { joint_rad: 0.1, time_s: 0.6 };
         assert!(comparison.breaches(&wide).is_empty());
@@ -270,6 +307,27 @@ mod tests {
         assert!(said.contains("motion 2: recorded alone, at 3.9"), "{said}");
         let said = breaches(&turning(1.0, 2.0, 8.0), &longer).join("\n");
         assert!(said.contains("motion 2: simulated alone, at 3.9"), "{said}");
+    }
+
+    /// A real controller rests for a moment longer between two moves: that is one difference, not one of
+    /// every position after it.
+    #[test]
+    fn a_longer_pause_is_said_once() {
+        let twice = |pause_s: f64| {
+            let mut track = turning(1.0, 1.0, 6.0);
+            for (time, joints) in track.times_s.iter().zip(&mut track.joints) {
+                joints[0] = ((time - 2.0 - pause_s) * 0.4).clamp(0.0, 0.4);
+            }
+            // Its program ends with the second motion.
+            let playing = |time: &f64| if *time < 3.0 + pause_s { 2 } else { 1 };
+            let states = [None, None, Some(track.times_s.iter().map(playing).collect())];
+            Track { states, ..track }
+        };
+        let comparison = compare(&twice(0.05), &twice(0.35)).unwrap();
+        assert!(comparison.joints[0].largest_rad < 0.01, "{comparison:?}");
+        let said = comparison.breaches(&TOLERANCES);
+        assert!(said.len() == 1 && said[0].contains("pause before it is 0.30"), "{said:?}");
+        assert_eq!(breaches(&twice(0.05), &twice(0.09)), [""; 0], "within the tolerance");
     }
 
     #[test]

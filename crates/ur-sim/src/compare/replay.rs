@@ -1,8 +1,7 @@
 //! A program carried out by a simulated arm, as fast as the computer computes.
 //!
 //! In: the program, which controller, where the arm is at first, for how long. Out: its [`Track`] of
-//! every frame, and what the controller said meanwhile. The arm has nothing in reach but itself, and the
-//! kinematics of the model: those of one arm are not in a recording.
+//! every frame, and what the controller said meanwhile. The arm has nothing in reach but itself.
 
 use crate::compare::track::Track;
 use crate::controller::ControllerConfig;
@@ -11,7 +10,7 @@ use crate::simulator::{Simulator, SimulatorError, Transmission};
 use crate::world::spec::{GripperSpec, WorldSpec};
 use cell_values::units::Joints;
 use nalgebra::Isometry3;
-use ur_arm::kinematics::ArmModel;
+use ur_arm::kinematics::{ArmModel, DhParameters};
 use ur_wire::primary::{HEADER, Package};
 use ur_wire::primary_message::MessageBody;
 use urscript::code::Code;
@@ -33,6 +32,8 @@ const MOST_REMARKS: usize = 10;
 pub struct Replayed {
     /// Which arm.
     pub arm: ArmModel,
+    /// Its own kinematics; absent: those of the model. A recording does not have them.
+    pub kinematics: Option<DhParameters>,
     /// Software version, if not the usual one.
     pub software: Option<[u32; 4]>,
 }
@@ -63,7 +64,7 @@ pub fn replay(
 ) -> Result<(Track, Vec<String>), ReplayError> {
     let usual = ControllerConfig::of(&which.arm, 1);
     let config = ControllerConfig {
-        dh: which.arm.dh,
+        dh: which.kinematics.unwrap_or(which.arm.dh),
         start: Joints(start),
         running: true,
         version: which.software.unwrap_or(usual.version),
@@ -134,7 +135,7 @@ mod tests {
     use ur_arm::kinematics::ARM_MODELS;
 
     const START: [f64; 6] = [-1.6, -1.9, 1.8, -1.5, -1.57, 0.1];
-    const UR5E: Replayed = Replayed { arm: ARM_MODELS[0], software: None };
+    const UR5E: Replayed = Replayed { arm: ARM_MODELS[0], kinematics: None, software: None };
 
     fn run(body: &str, start: [f64; 6]) -> Result<(Track, Vec<String>), ReplayError> {
         replay(compile_program(&format!("def work():\n{body}\nend\n")).unwrap(), &UR5E, start, 3.0)
@@ -151,6 +152,22 @@ mod tests {
         assert!(playing.contains(&2) && *playing.last().unwrap() == 1, "it played and ended");
         let same = compare(&track, &track).unwrap();
         assert_eq!(same.breaches(&Tolerances { joint_rad: 0.0, time_s: 0.0 }), [""; 0]);
+    }
+
+    /// The same pose is elsewhere in the joints of another arm.
+    #[test]
+    fn the_arm_has_the_kinematics_that_are_given() {
+        let program = " movel(pose_add(get_actual_tcp_pose(), p[0, 0, 0.1, 0, 0, 0]), a=1, v=0.2)";
+        let end = |kinematics| {
+            let code = compile_program(&format!("def work():\n{program}\nend\n")).unwrap();
+            let (track, _) = replay(code, &Replayed { kinematics, ..UR5E }, START, 3.0).unwrap();
+            *track.joints.last().unwrap()
+        };
+        let mut dh = UR5E.arm.dh;
+        dh.a[1] -= 0.005;
+        let (nominal, own) = (end(None), end(Some(dh)));
+        let apart = nominal.iter().zip(own).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!((1e-4..0.02).contains(&apart), "{nominal:?} {own:?}");
     }
 
     #[test]

@@ -66,11 +66,16 @@ impl Track {
 
     /// When a joint is [`MOVED_RAD`] from where it was at first, s; `None` if none ever is.
     pub fn first_motion_s(&self) -> Option<f64> {
-        let rest = self.joints.first()?;
-        let moved = self.joints.iter().position(|joints| apart(joints, rest) > MOVED_RAD)?;
-        let (before, after) =
-            (apart(self.joints.get(moved - 1)?, rest), apart(self.joints.get(moved)?, rest));
-        let (began, ends) = (self.times_s.get(moved - 1)?, self.times_s.get(moved)?);
+        self.motion_after_s(*self.times_s.first()?)
+    }
+
+    /// When after `time_s` a joint is [`MOVED_RAD`] from where it was then, s; `None` if none ever is.
+    pub fn motion_after_s(&self, time_s: f64) -> Option<f64> {
+        let rest = self.at(time_s)?;
+        let later = self.times_s.partition_point(|time| *time <= time_s);
+        let moved = later + self.joints.get(later..)?.iter().position(|q| apart(q, &rest) > MOVED_RAD)?;
+        let (began, ends) = (self.times_s.get(moved - 1)?.max(time_s), self.times_s.get(moved)?);
+        let (before, after) = (apart(&self.at(began)?, &rest), apart(self.joints.get(moved)?, &rest));
         Some(began + (ends - began) * (MOVED_RAD - before) / (after - before))
     }
 
@@ -118,6 +123,14 @@ mod tests {
         let still = Track { joints: vec![[1.0; 6]; 5], ..turning() };
         assert_eq!(still.first_motion_s(), None);
         assert_eq!(Track::default().first_motion_s(), None);
+    }
+
+    #[test]
+    fn a_later_motion_is_one_from_where_the_arm_was_then() {
+        let after = |time| turning().motion_after_s(time);
+        assert!((after(10.0).unwrap() - 10.15).abs() < 1e-9 && (after(10.2).unwrap() - 10.25).abs() < 1e-9);
+        assert!((after(10.15).unwrap() - 10.2).abs() < 1e-9, "{:?}", after(10.15));
+        assert_eq!((after(10.3), after(99.0)), (None, None));
     }
 
     #[test]
