@@ -86,7 +86,10 @@ pub static STATES: &[State] = &[
     State { name: "paused after the last pick-n-place", reach: paused_after_the_last },
     State { name: "parking", reach: parks },
     State { name: "on a calibration round", reach: rounds },
-    State { name: "carrying, paused at the pendant", reach: |pair, stage| with(pair, stage, "ur.pause", 60) },
+    State {
+        name: "carrying, the program paused by another client",
+        reach: |pair, stage| with(pair, stage, "ur.pause", 60),
+    },
     State { name: "carrying, speed slider at zero", reach: slider },
     State { name: "stopping", reach: stopping },
     State { name: "stopped while carrying", reach: |pair, stage| stopped(pair, stage) },

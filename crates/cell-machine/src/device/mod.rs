@@ -19,6 +19,8 @@ pub mod rtde_recipes;
 pub mod rtde_jump;
 pub mod rtde_session;
 
+mod software;
+
 pub mod dashboard_session;
 
 pub mod primary_session;

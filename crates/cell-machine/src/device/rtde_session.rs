@@ -15,6 +15,7 @@ use crate::device::rtde_jump::Jump;
 use crate::device::rtde_recipes::{
     COMMAND, HEARTBEAT, OWNER, Refusal, agree, input_names, mark_in, output_names, state_of,
 };
+use crate::device::software::too_old;
 use cell_values::time::{Duration, Timestamp};
 use serde::{Deserialize, Serialize};
 use ur_wire::rtde::{Reply, Request, Splitter, Version};
@@ -338,8 +339,8 @@ impl RtdeSession {
                 self.fault("the controller refuses RTDE version 2".into());
             }
             (Reply::ControllerVersion(version), Step::RequestedController { .. }) => {
-                if version.major < 5 {
-                    return self.fault(format!("software version {} is older than 5", version.major));
+                if let Some(fault) = too_old([version.major, version.minor]) {
+                    return self.fault(fault);
                 }
                 let names = output_names();
                 self.request(&Request::SetupOutputs { frequency_hz: Some(self.frequency_hz), names });

@@ -105,7 +105,7 @@ pub enum GateClosed {
     /// The program running on the controller is not the one uploaded.
     #[error("celld's program does not run on the robot")]
     Program,
-    /// The program is paused at the pendant.
+    /// The program is paused, by another client or at the pendant: celld never pauses it.
     #[error("the program is paused")]
     Paused,
     /// The program neither plays nor is paused.

@@ -13,7 +13,13 @@ use crate::supervisor::mode::{Mode, Pace};
 use crate::supervisor::phase::{Phase, Preview, Then, WorkStage};
 use crate::supervisor::reason::say;
 use cell_values::time::Timestamp;
-use ur_wire::enumerations::RobotMode;
+use ur_wire::enumerations::{RobotMode, RuntimeState};
+
+/// To `resume` while something else than celld's own pause holds the arm.
+const PROGRAM_PAUSED: &str = "celld was not paused: the robot's program is paused, and celld never resumes it; `celld \
+                              abort`, then `celld recover`";
+const SLIDER_AT_ZERO: &str =
+    "celld was not paused: the robot's speed slider is at zero; the motion goes on once it is raised";
 
 impl Supervisor {
     /// Carries an order out; the refusal, if it is refused.
@@ -39,9 +45,8 @@ impl Supervisor {
             }
             Order::Pause => return self.on_pause(devices),
             Order::Resume if !self.mode.paused() && self.moving() && motion_speed(devices) == 0.0 => {
-                let why =
-                    "celld was not paused: the arm is held at the pendant, by pause or by the speed slider";
-                return Some(Reply::refuse(why));
+                let paused = devices.robot.is_none_or(|robot| robot.runtime_state != RuntimeState::Playing);
+                return Some(Reply::refuse(if paused { PROGRAM_PAUSED } else { SLIDER_AT_ZERO }));
             }
             Order::Resume if self.mode.pauses_after_this_move() => {
                 self.mode.set_pace(Pace::Running);

@@ -1,4 +1,4 @@
-//! Commands to the arm while its program is paused at the pendant.
+//! Commands to the arm while its program is paused by another client or at the pendant.
 //!
 //! In: what the supervisor wants done. Out: the same, without what a paused program could not take, which is
 //! kept for it.

@@ -200,7 +200,8 @@ impl Supervisor {
             self.reason_of(Code::PausedTooLong, message, "see that the cell is safe")
         } else {
             let message = "the speed slider was at zero for too long: the table may have changed";
-            self.reason_of(Code::SpeedZero, message, "raise the slider at the pendant")
+            let hint = "raise the speed slider (in Local Control if the pendant locks it)";
+            self.reason_of(Code::SpeedZero, message, hint)
         }
     }
 }
