@@ -35,7 +35,7 @@ use ur_arm::kinematics::{ARM_MODELS, DhParameters};
 use ur_sim::command::{FOCAL_PX, PICTURE};
 use ur_sim::compute_box::BoxConfig;
 use ur_sim::config::read::DEFAULT_ERRORS;
-use ur_sim::config::{SimFile, SimMount, SimPorts};
+use ur_sim::config::{Installation, SimFile, SimMount, SimPorts};
 use ur_sim::controller::config::SOFTWARE;
 use ur_sim::controller::modes::Control;
 use ur_sim::controller::program_files::ProgramFiles;
@@ -244,6 +244,7 @@ pub fn sim_file(instance: &Instance, config: &CellConfig, choice: &DemoChoice) -
         safety: SafetyLimits::default(),
         entry_speed: EntrySpeed::default(),
         rest: RestConfig::recorded(),
+        installation: Installation::Gripper,
         compute_box: BoxConfig::default(),
         program_folder: None,
         programs: ProgramFiles::default(),

@@ -8,7 +8,11 @@ use cell_machine::device::robot_types::{InputsTaken, Link, RobotState};
 use cell_machine::stillness::{STILL_RAD, Sway};
 use cell_machine::supervisor::safety_words::{mode_words, safety_hint, safety_words};
 use cell_values::time::Duration;
+use cell_values::units::mm_from_m;
+use nalgebra::{Isometry3, Vector3};
 use ur_arm::kinematics::{DhParameters, model_of};
+use ur_arm::links::{farthest_apart, misfits};
+use ur_arm::pose::isometry_from_ur_pose;
 use ur_wire::enumerations::{RobotMode, SafetyMode};
 
 /// Why a service gave no answer.
@@ -84,6 +88,17 @@ pub struct PrimaryFacts {
     pub safety_checksum: Option<u32>,
 }
 
+/// The empty gripper, as the configuration has it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ToolFacts {
+    /// kg.
+    pub mass_kg: f64,
+    /// In the flange frame, m.
+    pub centre_of_gravity_m: [f64; 3],
+    /// Tool centre point.
+    pub flange_from_tool: Isometry3<f64>,
+}
+
 /// All of it.
 #[derive(Clone, Debug)]
 pub struct RobotFacts {
@@ -95,6 +110,8 @@ pub struct RobotFacts {
     pub rtde: Result<RtdeFacts, LinkFault>,
     /// Port 30001.
     pub primary: Result<PrimaryFacts, LinkFault>,
+    /// What the installation should say of the tool.
+    pub tool: ToolFacts,
     /// A celld runs on the state folder, and holds the registers.
     pub daemon: bool,
     /// The configuration is one of a simulation.
@@ -105,6 +122,14 @@ pub struct RobotFacts {
 const GAP_NOTED: Duration = Duration::from_millis(40);
 /// From here on a state counts as stale.
 const GAP_STALE: Duration = Duration::from_millis(100);
+/// Payload and TCP of the installation may differ so much from the configuration: 0.1 kg is noticeable in
+/// freedrive, the rest is what people measure to.
+const MASS_OFF_KG: f64 = 0.1;
+const CENTRE_OFF_M: f64 = 0.01;
+const TCP_OFF_M: f64 = 0.001;
+const TCP_OFF_RAD: f64 = 0.01;
+/// Published calibrations: links up to 8 mm from nominal ones.
+const UNUSUAL_DEVIATION_M: f64 = 0.02;
 /// A dashboard slower than this makes remote control look outdated.
 const SLOW_ANSWER: Duration = Duration::from_millis(500);
 
@@ -202,7 +227,7 @@ impl RobotFacts {
             None => problem(
                 "remote control",
                 "the controller does not say",
-                "e-Series software 5 or newer is needed: CB-Series controllers have no remote control mode",
+                "PolyScope 5.6 or later is needed: CB-Series controllers have no remote control mode",
             ),
         });
         if dashboard.slowest > SLOW_ANSWER {
@@ -219,6 +244,8 @@ impl RobotFacts {
         if let Some(state) = &rtde.state {
             lines.push(stream_line(rtde));
             lines.extend(state_lines(state));
+            // While celld runs, its program has set them.
+            lines.extend((!self.daemon).then(|| self.installation(state)));
         }
         if rtde.packages > 0 {
             lines.push(rest_line(rtde.sway));
@@ -227,6 +254,39 @@ impl RobotFacts {
             lines.push(note("RTDE", format!("the controller says: {message}"), ""));
         }
         lines
+    }
+
+    /// What the controller believes of the tool: it counts for jogging and freedrive, and until a program
+    /// has set something else.
+    fn installation(&self, state: &RobotState) -> Line {
+        let (mass, [x, y, z]) = (state.payload, state.payload_cog.map(mm_from_m));
+        let tcp = isometry_from_ur_pose(state.tcp_offset);
+        let at = tcp.translation.vector.map(mm_from_m);
+        let found = format!(
+            "payload {mass:.2} kg, centre of gravity {x:.0}, {y:.0}, {z:.0} mm; TCP {:.0}, {:.0}, {:.0} mm",
+            at.x, at.y, at.z
+        );
+        let ToolFacts { mass_kg, centre_of_gravity_m, flange_from_tool } = &self.tool;
+        let centre_off = (Vector3::from(state.payload_cog) - Vector3::from(*centre_of_gravity_m)).norm();
+        let tcp_off = (tcp.translation.vector - flange_from_tool.translation.vector).norm();
+        let turned = tcp.rotation.angle_to(&flange_from_tool.rotation);
+        if (mass - mass_kg).abs() <= MASS_OFF_KG
+            && centre_off <= CENTRE_OFF_M
+            && tcp_off <= TCP_OFF_M
+            && turned <= TCP_OFF_RAD
+        {
+            return ok("installation", found);
+        }
+        let [x, y, z] = centre_of_gravity_m.map(mm_from_m);
+        let at = flange_from_tool.translation.vector.map(mm_from_m);
+        let found = format!(
+            "{found}; the configuration has {mass_kg:.2} kg, {x:.0}, {y:.0}, {z:.0} mm; {:.0}, {:.0}, {:.0} mm",
+            at.x, at.y, at.z
+        );
+        let hint = "once the gripper is mounted, enter the configured values under Installation, General: Payload and TCP. \
+                    With a wrong payload the arm may sink in freedrive and stop. An ended program may also have left \
+                    its own values";
+        note("installation", found, hint)
     }
 
     /// Who holds the input registers.
@@ -319,6 +379,19 @@ fn kinematics_line(primary: &PrimaryFacts) -> Line {
         let hint = "fine for a simulated arm; a real one whose calibration is missing misses by millimetres: \
                     request its calibration file from the vendor";
         return note("kinematics", format!("those of a nominal {}", model.name), hint);
+    }
+    let apart_m = farthest_apart(dh, &model.dh);
+    let wider_m = misfits(dh, &model.dh).into_iter().max_by(f64::total_cmp).unwrap_or_default();
+    let found = format!(
+        "{found}; links up to {:.1} mm from those of a nominal arm; the bodies that are checked follow them, up to {:.1} mm \
+         wider",
+        mm_from_m(apart_m),
+        mm_from_m(wider_m)
+    );
+    if apart_m.is_nan() || apart_m > UNUSUAL_DEVIATION_M {
+        let hint = "far beyond factory tolerance: ask the vendor whether the calibration belongs to this arm. Paths \
+                    have less room, clearances are kept";
+        return note("kinematics", found, hint);
     }
     ok("kinematics", found)
 }

@@ -3,16 +3,19 @@
 use super::camera::{CameraFacts, CameraProblem, PictureFacts, References};
 use super::computer::ComputerFacts;
 use super::gripper::GripperFacts;
-use super::robot::{DashboardFacts, LinkFault, PrimaryFacts, RobotFacts, RtdeFacts};
+use super::robot::{DashboardFacts, LinkFault, PrimaryFacts, RobotFacts, RtdeFacts, ToolFacts};
 use super::*;
 use cell_machine::device::gripper_types::{Identity, ModbusFailure};
-use cell_machine::device::robot_types::InputsTaken;
+use cell_machine::device::registers::ProgramStatus;
+use cell_machine::device::robot_types::{InputsTaken, RobotState};
 use cell_machine::orders::ConfirmedGripper;
 use cell_machine::stillness::Sway;
-use cell_values::time::Duration;
+use cell_values::time::{Duration, Timestamp};
+use cell_values::units::Joints;
 use cell_vision::observe::reference::{DriftLimits, ReferenceCheck, ReferenceError};
+use nalgebra::Isometry3;
 use ur_arm::kinematics::DhParameters;
-use ur_wire::enumerations::{RobotMode, SafetyMode};
+use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 
 fn robot() -> RobotFacts {
     let mut dh = DhParameters::UR5E;
@@ -30,6 +33,11 @@ fn robot() -> RobotFacts {
         }),
         rtde: Ok(RtdeFacts { packages: 250, longest_gap: Duration::from_millis(9), ..RtdeFacts::default() }),
         primary: Ok(PrimaryFacts { dh: Some(dh), checksum: "ab".into(), safety_checksum: None }),
+        tool: ToolFacts {
+            mass_kg: 1.72,
+            centre_of_gravity_m: [0.0, -0.005, 0.065],
+            flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
+        },
         daemon: false,
         simulated: false,
     }
@@ -124,7 +132,7 @@ fn each_fault_of_the_controller_has_one_line() {
     fn rtde(facts: &mut RobotFacts) -> &mut RtdeFacts {
         facts.rtde.as_mut().expect("an RTDE link")
     }
-    let cases: [Case<RobotFacts>; 16] = [
+    let cases: [Case<RobotFacts>; 17] = [
         (Problem, "dashboard", "Dashboard Server", |f| f.dashboard = Err(LinkFault::Refused)),
         (Problem, "dashboard", "`celld sim`", |f| {
             (f.dashboard, f.simulated) = (Err(LinkFault::Refused), true);
@@ -149,6 +157,9 @@ fn each_fault_of_the_controller_has_one_line() {
         }),
         (Note, "RTDE", "says: careful", |f| rtde(f).messages = vec!["careful".into()]),
         (Problem, "kinematics", "has not sent", |f| f.primary = Ok(PrimaryFacts::default())),
+        (Note, "kinematics", "mm from those of a nominal arm", |f| {
+            f.primary.as_mut().expect("a primary link").dh.as_mut().expect("kinematics").a[1] += 0.03;
+        }),
         (Note, "kinematics", "nominal UR5e", |f| {
             f.primary.as_mut().expect("a primary link").dh = Some(DhParameters::UR5E);
         }),
@@ -260,4 +271,59 @@ fn a_program_reads_the_same() {
 
 fn taken() -> InputsTaken {
     InputsTaken { names: vec!["input_int_register_24".into()], celld: None }
+}
+
+/// A robot that rests, with this payload and TCP.
+fn state(payload: f64, payload_cog: [f64; 3], tcp_offset: [f64; 6]) -> RobotState {
+    RobotState {
+        received: Timestamp::ZERO,
+        controller_time_s: 100.0,
+        q: Joints([0.0, -1.5, 1.5, -1.5, -1.5, 0.0]),
+        qd: [0.0; 6],
+        tcp_pose: [0.0; 6],
+        robot_mode: RobotMode::Running,
+        safety_mode: SafetyMode::Normal,
+        runtime_state: RuntimeState::Stopped,
+        guided: false,
+        speed_scaling: 1.0,
+        target_speed_fraction: 1.0,
+        payload,
+        payload_cog,
+        tcp_offset,
+        nonce: 0,
+        accepted: 0,
+        finished: 0,
+        program_status: ProgramStatus::Idle,
+        heartbeat_echo: 0,
+        remote_control: Some(true),
+    }
+}
+
+#[test]
+fn the_installation_has_the_tool_of_the_configuration() {
+    let line = |payload: f64, centre: [f64; 3], tcp: [f64; 6], daemon: bool| {
+        let mut facts = robot();
+        facts.daemon = daemon;
+        facts.rtde.as_mut().expect("a link").state = Some(state(payload, centre, tcp));
+        facts.lines().into_iter().find(|line| line.item == "installation")
+    };
+    let (centre, tcp) = ([0.0, -0.005, 0.065], [0.0, 0.0, 0.2, 0.0, 0.0, 0.0]);
+    let entered = line(1.7, centre, tcp, false).expect("a line");
+    assert!(
+        entered.verdict == Verdict::Ok && entered.found.contains("1.70 kg, centre of gravity 0, -5, 65 mm"),
+        "{entered:?}"
+    );
+    for (payload, centre, tcp) in [
+        (0.0, centre, tcp),
+        (1.72, [0.0, 0.0, 0.04], tcp),
+        (1.72, centre, [0.0, 0.0, 0.19, 0.0, 0.0, 0.0]),
+        (1.72, centre, [0.0, 0.0, 0.2, 0.0, 0.0, 1.57]),
+    ] {
+        let other = line(payload, centre, tcp, false).expect("a line");
+        assert!(
+            other.verdict == Verdict::Note && other.found.contains("the configuration has 1.72 kg"),
+            "{other:?}"
+        );
+    }
+    assert_eq!(line(0.0, centre, tcp, true), None, "those of celld's program");
 }

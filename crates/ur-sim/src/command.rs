@@ -16,7 +16,7 @@ use crate::cell::{SimConfig, SimError, start};
 use crate::config::conveyors::ConveyorConfig;
 use crate::config::load::load_sim;
 use crate::config::read::read_sim;
-use crate::config::{SimFile, SimHandBoard, SimMount};
+use crate::config::{Installation, SimFile, SimHandBoard, SimMount};
 use crate::conformance;
 use crate::controller::config::{ControllerConfig, calibrated};
 use crate::facts;
@@ -40,6 +40,7 @@ use serde_json::json;
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use ur_arm::kinematics::ArmModel;
+use ur_arm::pose::ur_pose_from_isometry;
 
 /// Nominal focal length of the simulated camera, px, and its picture.
 pub const FOCAL_PX: f64 = 650.0;
@@ -318,7 +319,18 @@ fn robot_ports(file: &SimFile, ports: RobotPorts) -> RobotPorts {
 }
 
 fn controller_config(file: &SimFile) -> ControllerConfig {
+    let usual = ControllerConfig::of(&file.model, file.seed);
+    let (payload, payload_centre, tcp) = match file.installation {
+        Installation::Bare => (usual.payload, usual.payload_centre, usual.tcp),
+        Installation::Gripper => {
+            let gripper = &file.gripper;
+            (gripper.mass_kg, gripper.centre_of_gravity_m, ur_pose_from_isometry(&file.flange_from_tool))
+        }
+    };
     ControllerConfig {
+        payload,
+        payload_centre,
+        tcp,
         start: file.start_pose,
         version: file.software,
         encoders: file.encoders,
@@ -329,7 +341,7 @@ fn controller_config(file: &SimFile) -> ControllerConfig {
         rest: file.rest,
         programs: file.programs.clone(),
         dh: calibrated(&file.model.dh, file.seed, file.errors.dh_m, file.errors.dh_rad),
-        ..ControllerConfig::of(&file.model, file.seed)
+        ..usual
     }
 }
 
@@ -388,5 +400,23 @@ fn gripper_spec(file: &SimFile) -> spec::GripperSpec {
         // A body that cannot be drawn is no reason to stop: it only hides part of a picture.
         body: Footprint::polygon(&gripper.body_polygon).unwrap_or(Footprint::Disc { radius: 0.04 }),
         body_above_lips_m: gripper.body_height_m,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_installation_has_the_gripper_if_the_file_says_so() {
+        const SIM: &str = include_str!("../../../config/sim.yaml");
+        let installed = |word: &str| {
+            let text = SIM.replace("\ninstallation: bare\n", &format!("\ninstallation: {word}\n"));
+            let config = controller_config(&read_sim(&text, "sim.yaml").unwrap());
+            (config.payload, config.payload_centre, config.tcp)
+        };
+        assert_eq!(installed("bare"), (0.0, [0.0; 3], [0.0; 6]));
+        let gripper = (1.72, [0.0, -0.005, 0.065], [0.0, 0.0, 0.2, 0.0, 0.0, 0.0]);
+        assert_eq!(installed("gripper"), gripper);
     }
 }

@@ -79,6 +79,8 @@ pub struct SimFile {
     pub entry_speed: EntrySpeed,
     /// How its joints come to rest.
     pub rest: RestConfig,
+    /// What the installation says of the tool.
+    pub installation: Installation,
     /// How the gripper's box treats its clients.
     pub compute_box: BoxConfig,
     /// Joint pose at power-on.
@@ -89,6 +91,15 @@ pub struct SimFile {
     pub programs: ProgramFiles,
     /// How far the truth is off.
     pub errors: SimErrors,
+}
+
+/// Payload and tool centre point of the installation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Installation {
+    /// Nothing on the flange.
+    Bare,
+    /// The gripper.
+    Gripper,
 }
 
 /// Where the simulated camera sits, nominal.

@@ -4,7 +4,7 @@
 
 use crate::config::cell::CellConfig;
 use crate::config::sessions::{RTDE_HZ, clock};
-use crate::doctor::robot::{DashboardFacts, LinkFault, PrimaryFacts, RobotFacts, RtdeFacts};
+use crate::doctor::robot::{DashboardFacts, LinkFault, PrimaryFacts, RobotFacts, RtdeFacts, ToolFacts};
 use cell_edge::clock::Clock;
 use cell_machine::device::dashboard_session::{DashboardEvent, DashboardSession};
 use cell_machine::device::primary_session::{PrimaryEvent, PrimarySession};
@@ -46,6 +46,11 @@ pub fn facts(config: &CellConfig, daemon: bool) -> RobotFacts {
             dashboard: dashboard.join().unwrap_or_else(|_| Err(died())),
             primary: primary.join().unwrap_or_else(|_| Err(died())),
             rtde,
+            tool: ToolFacts {
+                mass_kg: config.gripper.mass_kg,
+                centre_of_gravity_m: config.gripper.centre_of_gravity_m,
+                flange_from_tool: config.flange_from_tool,
+            },
             daemon,
             simulated: config.simulation.is_some(),
         }

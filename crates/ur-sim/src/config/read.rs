@@ -12,7 +12,7 @@ use crate::config::programs::programs;
 use crate::config::rest::rest;
 use crate::config::safety::safety;
 use crate::config::software::controller;
-use crate::config::{SimErrors, SimFile, SimHandBoard, SimMount, SimPorts};
+use crate::config::{Installation, SimErrors, SimFile, SimHandBoard, SimMount, SimPorts};
 use crate::controller::config::SOFTWARE;
 use crate::controller::modes::Control;
 use crate::controller::program_files::ProgramFiles;
@@ -58,6 +58,7 @@ pub const SIM_KEYS: &[&str] = &[
     "safety",
     "blend",
     "rest",
+    "installation",
     "compute_box",
     "programs",
     "errors",
@@ -66,6 +67,10 @@ pub const SIM_KEYS: &[&str] = &[
 /// From where the arm is commanded, as the file names it.
 const CONTROL_MODES: &[(&str, Control)] =
     &[("remote", Control::Remote), ("local", Control::Local), ("not_enabled", Control::NotEnabled)];
+
+/// What the installation says of the tool, as the file names it.
+const INSTALLATIONS: &[(&str, Installation)] =
+    &[("bare", Installation::Bare), ("gripper", Installation::Gripper)];
 
 /// What the truth deviates by unless the file says otherwise (design, sections 5 and issue 2 part 7).
 pub const DEFAULT_ERRORS: SimErrors = SimErrors {
@@ -106,8 +111,7 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
     let flange_from_tool = transform(decoder, fields, "flange_from_tool");
     let base_from_table = transform(decoder, fields, "base_from_table");
     let camera = mount(decoder, fields);
-    let hand_board =
-        optional(decoder, fields, "hand_board", None, |decoder, at| hand_board(decoder, at).map(Some));
+    let hand_board = optional(decoder, fields, "hand_board", None, held_board);
     apart(decoder, hand_board.as_ref(), numbers_on_table(markers.as_deref(), objects.as_deref()), places);
     let start_pose = fields.required("start_pose_deg", decoder).and_then(|at| joints_deg(decoder, &at));
     let model = optional(decoder, fields, "model", ARM_MODELS[0], model);
@@ -117,6 +121,7 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
     let safety = optional(decoder, fields, "safety", SafetyLimits::default(), safety);
     let entry_speed = optional(decoder, fields, "blend", EntrySpeed::Braked, entry_speed);
     let rest = optional(decoder, fields, "rest", RestConfig::recorded(), rest);
+    let installation = optional(decoder, fields, "installation", Installation::Bare, installation);
     let compute_box = optional(decoder, fields, "compute_box", BoxConfig::default(), compute_box);
     let programs = optional(decoder, fields, "programs", (None, ProgramFiles::default()), programs);
     let errors = optional(decoder, fields, "errors", DEFAULT_ERRORS, errors);
@@ -145,6 +150,7 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
         safety: safety?,
         entry_speed: entry_speed?,
         rest: rest?,
+        installation: installation?,
         compute_box: compute_box?,
         program_folder,
         programs,
@@ -154,6 +160,14 @@ fn sim(decoder: &mut Decoder, fields: &Fields, places: &Places) -> Option<SimFil
 
 fn time_factor(decoder: &mut Decoder, at: &At) -> Option<f64> {
     decoder.number_in(at, 0.01..=1000.0, "times real time")
+}
+
+fn held_board(decoder: &mut Decoder, at: &At) -> Option<Option<SimHandBoard>> {
+    hand_board(decoder, at).map(Some)
+}
+
+fn installation(decoder: &mut Decoder, at: &At) -> Option<Installation> {
+    decoder.choice(at, INSTALLATIONS)
 }
 
 fn control(decoder: &mut Decoder, at: &At) -> Option<Control> {
