@@ -29,6 +29,9 @@ const FLANGE_TOLERANCE: f64 = 1e-6;
 
 /// The arm that calibrated parameters belong to.
 pub fn model_of(dh: &DhParameters) -> &'static ArmModel {
+    if let Some(nominal) = ARM_MODELS.iter().find(|model| model.dh == *dh) {
+        return nominal;
+    }
     let links = *Chain::of(dh).links();
     let distance = |model: &DhParameters| -> f64 {
         let each = links.iter().enumerate().map(|(i, link)| {
