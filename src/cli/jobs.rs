@@ -128,7 +128,7 @@ is, and for each way back what it would do, or why it cannot be taken now. Each 
 word that the cell is safe: a protective stop is unlocked by it, once the 5 s have passed that the
 controller demands; not by
 --release, which is for hands at the gripper. Whatever comes of it, the cell is disarmed afterwards;
-`celld abort` stops a way back, and what is held stays held.";
+`celld abort` stops a way back; the gripper keeps holding the object.";
 
 /// Arguments of `celld recover`.
 #[derive(Args, Debug)]

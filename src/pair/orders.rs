@@ -261,7 +261,7 @@ pub fn judge(given: &Given, found: &Found) -> Vec<String> {
         "cancel" => must(found.ended.is_some(), "the job ends"),
         "calibrate (at the page)" => must(found.moves || says("already"), "the arm goes round"),
         "recover --place" => must(!found.held.1 && found.rests, "what was held is put down"),
-        "recover --hold" => must(!found.moves && found.held.0 == found.held.1, "what is held stays held"),
+        "recover --hold" => must(!found.moves && found.held.0 == found.held.1, "the vacuum does not change"),
         "recover --retreat" => must(found.rests && found.held.0 == found.held.1, "the arm goes up and rests"),
         _ => must(!found.moves || !found.rested || found.armed.0, "showing moves nothing"),
     }

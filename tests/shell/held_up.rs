@@ -19,7 +19,7 @@ fn cell_that_was_held_up_is_disarmed_stays_and_says_so() {
     wait_until("the status says so", || !cell.armed());
     assert!(cell.daemon().try_wait().expect("a child").is_none(), "it stays: {}", cell.log());
     assert!(!cell.log().contains("check the disk"), "{}", cell.log());
-    assert!(cell.holds(), "what is held stays held");
+    assert!(cell.holds(), "the object stays held");
 }
 
 /// A thread's scheduling is SCHED_FIFO (1), by its `stat` (proc(5)).

@@ -12,7 +12,7 @@ fn cell_stops_when_its_state_folder_is_gone_and_takes_orders_when_it_is_back() {
     std::fs::rename(cell.state(), &aside).expect("renamed");
     wait_until("it says so", || cell.log().contains("orders do not reach celld"));
     wait_until("the arm rests", || cell.rests());
-    assert!(cell.holds(), "what is held stays held: {}", cell.log());
+    assert!(cell.holds(), "the object stays held: {}", cell.log());
     assert!(cell.daemon().try_wait().expect("a child").is_none(), "it stays: {}", cell.log());
     // The daemon has made folders of that name again; they are not the ones that orders come to.
     let _ = std::fs::remove_dir_all(cell.state());

@@ -53,7 +53,7 @@ impl Stream {
         self.write(now);
     }
 
-    /// Sends what is left, as far as the system takes it.
+    /// Sends the rest, as much as the socket accepts.
     pub fn write(&mut self, now: Timestamp) {
         while !self.unsent.is_empty() {
             match self.stream.try_write(&self.unsent) {
@@ -93,15 +93,15 @@ impl Stream {
         if readable || writable { Poll::Ready(()) } else { Poll::Pending }
     }
 
-    /// What is lost is sent again soon and not after ever longer waits, as far as the system can: the peer
-    /// may be back when its cable is.
+    /// Retransmits lost packets at a steady interval instead of backing off, where the system supports that:
+    /// the device answers as soon as its cable is back.
     pub fn repeats_soon(&self) {
         // If this fails, the connection recovers later.
         let _ = rustix::net::sockopt::set_tcp_thin_linear_timeouts(&self.stream, true);
     }
 
-    /// From now on this connection ends with a reset, also when this process ends: what was not delivered
-    /// never will be.
+    /// From now on this connection is closed with a reset, even if this process dies. Undelivered data is
+    /// discarded.
     pub fn ends_with_reset(&self) {
         // If this fails, the connection is closed in order.
         let _ = self.stream.set_zero_linger();

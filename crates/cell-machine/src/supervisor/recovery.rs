@@ -106,7 +106,7 @@ impl Supervisor {
         match way {
             WayBack::Show => Ok(()),
             WayBack::Hold if !protective(devices) => {
-                Err("there is no protective stop to unlock, and what is held stays held".to_string())
+                Err("there is no protective stop to unlock, and the vacuum does not change".to_string())
             }
             WayBack::Hold | WayBack::Retreat => Ok(()),
             // Without vacuum something may hang all the same, and a person takes it off.
