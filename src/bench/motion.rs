@@ -24,7 +24,7 @@ use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
 use std::time::Instant;
 use ur_arm::bodies::Capsule;
-use ur_arm::kinematics::{ARM_MODELS, DhParameters, forward, inverse, pose_error};
+use ur_arm::kinematics::{ARM_MODELS, DhParameters, Kinematics, pose_error};
 
 /// How much is measured.
 #[derive(Clone, Copy, Debug)]
@@ -146,12 +146,13 @@ pub fn kinematics(figures: &mut MotionFigures, cases: MotionCases) {
 /// Seconds of the inverse alone.
 fn round_trips(figures: &mut MotionFigures, dh: &DhParameters, poses: usize, random: &mut ChaCha8Rng) -> f64 {
     let joints: Vec<Joints> = (0..poses).map(|_| random_joints(random)).collect();
-    let targets: Vec<_> = joints.iter().map(|q| forward(dh, q)).collect();
+    let arm = Kinematics::of(dh);
+    let targets: Vec<_> = joints.iter().map(|q| arm.forward(q)).collect();
     let began = Instant::now();
-    let found: Vec<Vec<Joints>> = targets.iter().map(|target| inverse(dh, target)).collect();
+    let found: Vec<Vec<Joints>> = targets.iter().map(|target| arm.inverse(target)).collect();
     let seconds = began.elapsed().as_secs_f64();
     for ((q, target), solutions) in joints.iter().zip(&targets).zip(&found) {
-        let worst = solutions.iter().map(|q| pose_error(&forward(dh, q), target).norm());
+        let worst = solutions.iter().map(|q| pose_error(&arm.forward(q), target).norm());
         figures.ik_worst = worst.fold(figures.ik_worst, f64::max);
         figures.ik_missed += usize::from(solutions.is_empty());
         // Near a singularity joints trade places freely, and only the pose counts.
@@ -228,7 +229,10 @@ fn with_a_rod(model: &ArmModel, table: [f64; 2]) -> Bodies {
     let Capsule { a, b, radius } = rod(model);
     cell.tool.push(NamedShape { name: "the rod".to_string(), shape: Shape::capsule(a, b, radius) });
     let (base_from_table, flange_from_tool) = (model.base_from_table, model.flange_from_tool);
-    Bodies::new(&model.dh, &Surroundings { base_from_table, flange_from_tool, table, link_floor: 0.0, cell })
+    Bodies::new(
+        model.kinematics.dh(),
+        &Surroundings { base_from_table, flange_from_tool, table, link_floor: 0.0, cell },
+    )
 }
 
 /// The same rod in the other model.

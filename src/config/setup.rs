@@ -34,7 +34,7 @@ use rearrange::geometry::pose::Pose2;
 use rearrange::tabletop::instance::{ObjectSpec, Workspace};
 use rearrange::tabletop::room::{Cup, Grip, place_for_cups};
 use std::sync::Arc;
-use ur_arm::kinematics::DhParameters;
+use ur_arm::kinematics::{DhParameters, Kinematics};
 
 /// What calibration found and the controller reported.
 #[derive(Clone, Debug)]
@@ -251,7 +251,7 @@ fn settle(config: &CellConfig) -> Duration {
 pub fn arm_model(config: &CellConfig, dh: DhParameters, base_from_table: Isometry3<f64>) -> ArmModel {
     let limits = &config.limits;
     ArmModel {
-        dh,
+        kinematics: Kinematics::of(&dh),
         base_from_table,
         flange_from_tool: config.flange_from_tool,
         home: config.work_pose,

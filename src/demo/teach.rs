@@ -186,11 +186,11 @@ mod tests {
     use cell_motion::bodies::Bodies;
     use cell_motion::path::{ArmLimits, BlendSpeed};
     use std::f64::consts::TAU;
-    use ur_arm::kinematics::{DhParameters, forward};
+    use ur_arm::kinematics::{DhParameters, Kinematics};
 
     fn model(width: f64) -> ArmModel {
         ArmModel {
-            dh: DhParameters::UR5E,
+            kinematics: Kinematics::of(&DhParameters::UR5E),
             base_from_table: Isometry3::translation(-width / 2.0, BASE_BEHIND_M, 0.0),
             flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
             home: Joints([-1.6, -1.6, 1.9, -1.9, -1.57, 0.0]),
@@ -219,7 +219,8 @@ mod tests {
                 [(-0.06, -0.06), (size + 0.06, -0.06), (size / 2.0, size + 0.06), (size / 3.0, size / 2.0)]
             {
                 let seen = poses.iter().any(|q| {
-                    let camera = model.base_from_table.inverse() * forward(&model.dh, q) * flange_from_camera;
+                    let camera =
+                        model.base_from_table.inverse() * model.kinematics.forward(q) * flange_from_camera;
                     let p = camera.inverse() * Point3::new(x, y, 0.0);
                     (p.x / p.z).abs() < ANGLE.half_x && (p.y / p.z).abs() < ANGLE.half_y && p.z > 0.0
                 });
@@ -246,7 +247,7 @@ mod tests {
         let poses = calibration_poses(&model, &flange_from_camera, (0.5, 0.5));
         assert!(poses.len() >= 10, "{} poses", poses.len());
         let tilt = |axis: usize| {
-            let of = |q: &Joints| (forward(&model.dh, q).rotation * Vector3::z())[axis];
+            let of = |q: &Joints| (model.kinematics.forward(q).rotation * Vector3::z())[axis];
             let all: Vec<f64> = poses.iter().map(of).collect();
             all.iter().copied().fold(f64::MIN, f64::max) - all.iter().copied().fold(f64::MAX, f64::min)
         };

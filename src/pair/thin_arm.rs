@@ -18,7 +18,7 @@ pub const THINNER_M: f64 = 0.01;
 /// Arm, gripper and table as a few thin bodies.
 #[derive(Clone, Debug)]
 pub struct ThinModel {
-    dh: DhParameters,
+    chain: Chain,
     base_from_table: Isometry3<f64>,
     /// Frame (0 to 6), and the capsule in it.
     bodies: Vec<(usize, Capsule)>,
@@ -28,7 +28,7 @@ pub struct ThinModel {
 impl ThinModel {
     /// The published capsules, thinner, and a tool in the flange's frame.
     pub fn of(model: &ArmModel, tool: Capsule) -> ThinModel {
-        ThinModel::new(&model.dh, model.base_from_table, tool)
+        ThinModel::new(model.kinematics.dh(), model.base_from_table, tool)
     }
 
     /// The same of an arm with these parameters.
@@ -51,7 +51,7 @@ impl ThinModel {
                 }
             }
         }
-        ThinModel { dh: *dh, base_from_table, bodies, pairs }
+        ThinModel { chain: Chain::of(dh), base_from_table, bodies, pairs }
     }
 
     /// Whether all distances on a straight way in joint space are at least `distance` (m), with samples at
@@ -68,7 +68,7 @@ impl ThinModel {
     /// The least distance of two bodies, or of one over the table, m; not positive where they overlap.
     pub fn least_at(&self, q: &Joints) -> f64 {
         let mut frames = vec![Isometry3::identity()];
-        frames.extend(Chain::of(&self.dh).placed(q).bodies);
+        frames.extend(self.chain.placed(q).bodies);
         let placed: Vec<[Point3<f64>; 2]> = self
             .bodies
             .iter()

@@ -103,7 +103,7 @@ fn jog(sim: &RunningSim, secondary: SocketAddr, q: &Joints) {
     socket.write_all(script.as_bytes()).expect("sent");
     let target = {
         let controller = sim.robot().controller();
-        forward(&controller.core.mover.arm.dh, q)
+        controller.core.mover.arm.kinematics.forward(q)
     };
     wait_until("the arm is jogged", || {
         let there = off(&sim.robot().controller().core.base_from_flange(), &target);

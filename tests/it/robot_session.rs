@@ -19,7 +19,7 @@ use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use ur_arm::kinematics::DhParameters;
+use ur_arm::kinematics::{DhParameters, Kinematics};
 use ur_sim::camera::{CameraSetup, CameraTiming};
 use ur_sim::cell::{RunningSim, SimConfig, start};
 use ur_sim::controller::ControllerConfig;
@@ -193,7 +193,7 @@ impl Cell {
             tool_acceleration: 5.0,
         };
         let model = ArmModel {
-            dh: self.dh,
+            kinematics: Kinematics::of(&self.dh),
             base_from_table: Isometry3::identity(),
             flange_from_tool: Isometry3::translation(0.0, 0.0, 0.1),
             home: from,

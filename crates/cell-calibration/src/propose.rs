@@ -21,7 +21,6 @@ use cell_motion::slow::{CalibrationBox, slow_move};
 use cell_values::units::{Joints, deg_from_rad, mm_from_m};
 use cell_vision::camera::CameraModel;
 use rearrange::document::chain::chain;
-use ur_arm::kinematics::forward;
 
 /// Tilts tried, largest first, rad: what the perspective of a marker is determined by.
 const TILTS: [f64; 3] = [0.45, 0.35, 0.25];
@@ -217,7 +216,7 @@ fn play_through(drawn: &Drawn, scene: &Scene, poses: &[Joints]) -> Result<Transf
     let (reference, base_from_table) = (&drawn.reference, drawn.base_from_table);
     let settings = HandEyeSettings { corner_std_px: NOISE_PX, ..HandEyeSettings::default() };
     let sample = |q: &Joints| {
-        let base_from_flange = forward(&scene.model.dh, q);
+        let base_from_flange = scene.model.kinematics.forward(q);
         let mut detections = scene.visible(q);
         if let Carried::Board { .. } = scene.carried {
             detections.extend(scene.visible_of(reference, &base_from_table, q));

@@ -99,7 +99,7 @@ pub struct Rig<'a> {
 impl Rig<'_> {
     /// `table_from_camera` with the arm at `q`.
     pub fn camera_at(&self, q: &Joints) -> Isometry3<f64> {
-        let base_from_flange = ur_arm::kinematics::forward(&self.arm.dh, q);
+        let base_from_flange = self.arm.kinematics.forward(q);
         self.arm.base_from_table.inverse() * self.mount.base_from_camera(&base_from_flange)
     }
 }

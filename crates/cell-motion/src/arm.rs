@@ -8,7 +8,7 @@ use cell_values::units::Joints;
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
-use ur_arm::kinematics::{DhParameters, forward, inverse_in, inverse_near, posture};
+use ur_arm::kinematics::Kinematics;
 
 /// Limits every path keeps; from the cell's configuration, none has a default.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
@@ -40,7 +40,8 @@ pub enum BlendSpeed {
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct ArmModel {
     /// Calibrated kinematics, from the controller.
-    pub dh: DhParameters,
+    #[serde(rename = "dh")]
+    pub kinematics: Kinematics,
     /// Where the table frame is in the base frame, from calibration.
     pub base_from_table: Isometry3<f64>,
     /// The tool frame (centre of the cup lips, z out of the gripper) in the flange frame.
@@ -64,12 +65,13 @@ impl ArmModel {
 
     /// `table_from_tool` at joint positions `q`.
     pub fn tool_at(&self, q: &Joints) -> Isometry3<f64> {
-        self.base_from_table.inverse() * forward(&self.dh, q) * self.flange_from_tool
+        self.base_from_table.inverse() * self.kinematics.forward(q) * self.flange_from_tool
     }
 
     /// Joints for a tool pose, nearest to `near` and inside the joint range.
     pub fn joints_at(&self, table_from_tool: &Isometry3<f64>, near: &Joints) -> Option<Joints> {
-        inverse_near(&self.dh, &self.flange_at(table_from_tool), near, self.common_range())
+        self.kinematics
+            .inverse_near(&self.flange_at(table_from_tool), near, self.common_range())
             .filter(|q| self.outside_range(q).is_none())
     }
 
@@ -81,7 +83,8 @@ impl ArmModel {
 
     /// All joint solutions of a tool pose in the posture of `home`, without full turns.
     pub fn in_work_posture(&self, table_from_tool: &Isometry3<f64>) -> Vec<Joints> {
-        inverse_in(&self.dh, &self.flange_at(table_from_tool), posture(&self.dh, &self.home))
+        let posture = self.kinematics.posture(&self.home);
+        self.kinematics.inverse_in(&self.flange_at(table_from_tool), posture)
     }
 
     /// The first of these solutions that can be turned into its range, as [`ArmModel::unwound`] does.

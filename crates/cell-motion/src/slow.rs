@@ -9,7 +9,6 @@ use crate::path::{ArmModel, CheckedPath, Leg, PathFault, Segment};
 use cell_values::units::{Joints, mm_from_m};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
-use ur_arm::kinematics::forward;
 
 /// Highest tool speed while calibrating, m/s (design, section 7, rule 1).
 const TOOL_SPEED: f64 = 0.1;
@@ -94,7 +93,7 @@ pub fn slow_move(
     let Some(room) = room else { return Ok(path) };
     for k in 0..=TRAVEL_SAMPLES {
         let q = from.lerp(&target, k as f64 / TRAVEL_SAMPLES as f64);
-        let outside_m = room.outside_m(&forward(&model.dh, &q).translation.vector);
+        let outside_m = room.outside_m(&model.kinematics.forward(&q).translation.vector);
         if outside_m > 0.0 {
             let what = match k {
                 0 => "the flange is".to_string(),
@@ -124,7 +123,7 @@ mod tests {
     use crate::path::{ArmLimits, BlendSpeed};
     use nalgebra::Isometry3;
     use std::f64::consts::TAU;
-    use ur_arm::kinematics::DhParameters;
+    use ur_arm::kinematics::{DhParameters, Kinematics};
 
     fn model() -> ArmModel {
         let limits = ArmLimits {
@@ -135,7 +134,7 @@ mod tests {
             tool_acceleration: 2.0,
         };
         ArmModel {
-            dh: DhParameters::UR5E,
+            kinematics: Kinematics::of(&DhParameters::UR5E),
             base_from_table: Isometry3::identity(),
             flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
             home: Joints([0.0, -1.5, 1.5, -1.5, -1.5, 0.0]),
@@ -151,7 +150,7 @@ mod tests {
         // The base turns: the way swings out beyond the line between its ends.
         let turned = |turn: f64| Joints([turn, -1.4, 1.2, -1.4, -1.5, 0.0]);
         let (from, to) = (turned(-0.8), turned(0.8));
-        let at = |q: &Joints| -> [f64; 3] { forward(&model.dh, q).translation.vector.into() };
+        let at = |q: &Joints| -> [f64; 3] { model.kinematics.forward(q).translation.vector.into() };
         let around = |places: &[Joints]| {
             let wide = CalibrationBox::around(places.iter().map(at)).unwrap();
             CalibrationBox { low_m: wide.low_m.map(|v| v - 0.01), high_m: wide.high_m.map(|v| v + 0.01) }

@@ -11,7 +11,7 @@ use nalgebra::Isometry3;
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
 use std::f64::consts::TAU;
-use ur_arm::kinematics::DhParameters;
+use ur_arm::kinematics::{DhParameters, Kinematics};
 
 /// Arm, gripper with one cup, camera and table of the demo.
 pub fn bodies(base_from_table: Isometry3<f64>, table: [f64; 2]) -> Bodies {
@@ -60,7 +60,7 @@ pub fn task(from: Pose2, to: Pose2, grip_point: [f64; 2]) -> PickNPlace {
 /// The demo's arm at a table of this width.
 pub fn model(width: f64) -> ArmModel {
     ArmModel {
-        dh: DhParameters::UR5E,
+        kinematics: Kinematics::of(&DhParameters::UR5E),
         // The base is behind the middle of the near edge.
         base_from_table: Isometry3::translation(-width / 2.0, 0.18, 0.0),
         flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),

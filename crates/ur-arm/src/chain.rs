@@ -79,8 +79,9 @@ impl Chain {
         let mut base_from_joint = Isometry3::identity();
         let mut bodies = [base_from_joint; 6];
         let frames = std::array::from_fn(|i| {
-            bodies[i] = base_from_joint * turned(&self.bodies[i], q.0[i]);
-            base_from_joint *= self.link(i, q.0[i]);
+            let half = half_angle(q.0[i]);
+            bodies[i] = base_from_joint * turned(&self.bodies[i], half);
+            base_from_joint *= turned(&self.links[i], half);
             base_from_joint
         });
         Placed { frames, bodies }
@@ -88,14 +89,25 @@ impl Chain {
 
     /// Link `i` with its joint at `q`.
     pub(crate) fn link(&self, i: usize, q: f64) -> Isometry3<f64> {
-        turned(&self.links[i], q)
+        turned(&self.links[i], half_angle(q))
     }
 }
 
-/// A pose turned about z by `q`: everything that moves is computed from this, so the product is written out
-/// in half angles.
-fn turned(pose: &Isometry3<f64>, q: f64) -> Isometry3<f64> {
-    let (s, c) = (0.5 * q).sin_cos();
+/// `base_from_flange` of a table for joint positions `q`: what [`Chain`] settles does not move the flange.
+pub fn flange_of(dh: &DhParameters, q: &Joints) -> Isometry3<f64> {
+    (0..6).fold(Isometry3::identity(), |base_from_link, i| {
+        base_from_link * turned(&steps(dh, i), half_angle(q.0[i]))
+    })
+}
+
+/// Sine and cosine of half an angle.
+fn half_angle(q: f64) -> (f64, f64) {
+    (0.5 * q).sin_cos()
+}
+
+/// A pose turned about z by the angle whose half has this sine and cosine: everything that moves is computed
+/// from this, so the product is written out.
+fn turned(pose: &Isometry3<f64>, (s, c): (f64, f64)) -> Isometry3<f64> {
     let (sin, cos) = (2.0 * s * c, (c - s) * (c + s));
     let (at, by) = (&pose.translation, pose.rotation.quaternion());
     let [w, i, j, k] = [c * by.w - s * by.k, c * by.i - s * by.j, c * by.j + s * by.i, c * by.k + s * by.w];

@@ -11,12 +11,13 @@
 #[cfg(test)]
 mod tests;
 
-use crate::chain::Chain;
+use crate::chain::{Chain, flange_of};
 use crate::links::all_over;
 pub use crate::links::model_of;
 pub use crate::models::{ARM_MODELS, ArmModel, DhParameters};
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Matrix6, Vector3, Vector6};
+use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 /// Newton stops when the pose error (m and rad together) is below this; the controller's own
@@ -70,9 +71,165 @@ const CLEARLY: [f64; 3] = [0.05, 0.1, 0.1];
 /// Longest Newton step of a joint, rad.
 const MAX_STEP: f64 = 0.2;
 
+/// An arm's kinematics, with what is the same for every pose computed once.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(from = "DhParameters", into = "DhParameters")]
+pub struct Kinematics {
+    dh: DhParameters,
+    model: &'static ArmModel,
+    chain: Chain,
+    /// That of the nominal arm.
+    nominal: Chain,
+}
+
+impl From<DhParameters> for Kinematics {
+    fn from(dh: DhParameters) -> Kinematics {
+        Kinematics::of(&dh)
+    }
+}
+
+impl From<Kinematics> for DhParameters {
+    fn from(kinematics: Kinematics) -> DhParameters {
+        kinematics.dh
+    }
+}
+
+impl Kinematics {
+    /// The kinematics of an arm with this table.
+    pub fn of(dh: &DhParameters) -> Kinematics {
+        let model = model_of(dh);
+        Kinematics { dh: *dh, model, chain: Chain::of(dh), nominal: Chain::of(&model.dh) }
+    }
+
+    /// The table.
+    pub fn dh(&self) -> &DhParameters {
+        &self.dh
+    }
+
+    /// The links.
+    pub fn chain(&self) -> &Chain {
+        &self.chain
+    }
+
+    /// `base_from_flange` for joint positions `q`.
+    pub fn forward(&self, q: &Joints) -> Isometry3<f64> {
+        self.chain.forward(q)
+    }
+
+    /// All joint solutions of a flange pose, each joint in (-pi, pi]; empty when the pose is out of reach.
+    ///
+    /// At a wrist singularity (joint 5 at 0 or pi) joint 6 is free and taken as 0.
+    pub fn inverse(&self, base_from_flange: &Isometry3<f64>) -> Vec<Joints> {
+        let mut solutions: Vec<Joints> = Vec::with_capacity(8);
+        let starts = self.starts(base_from_flange);
+        for (start, sure) in &starts {
+            note(&mut solutions, self.refined(base_from_flange, start, *sure));
+        }
+        // Where the nominal arm is not at one of its boundaries, its closed form has said all.
+        if solutions.is_empty() && !(self.is_nominal() && starts.is_empty()) {
+            solutions = self.at_singularities(base_from_flange, starts);
+        }
+        solutions
+    }
+
+    /// The solutions of [`Kinematics::inverse`] that are of one family, in the same order. A start of the
+    /// closed form that is clearly of another family is not refined.
+    pub fn inverse_in(&self, base_from_flange: &Isometry3<f64>, wanted: [bool; 3]) -> Vec<Joints> {
+        let other = |start: &Joints| {
+            let values = family(&self.nominal, start).into_iter().zip(CLEARLY).zip(wanted);
+            let clearly_other = |((value, clearly), wanted): ((f64, f64), bool)| {
+                value.abs() > clearly && (value > 0.0) != wanted
+            };
+            values.into_iter().any(clearly_other)
+        };
+        let mut solutions = Vec::new();
+        for (start, sure) in self.starts(base_from_flange) {
+            if !(sure && other(&start)) {
+                note(&mut solutions, self.refined(base_from_flange, &start, sure));
+            }
+        }
+        solutions.retain(|q| self.posture(q) == wanted);
+        if solutions.is_empty() {
+            solutions = self.inverse(base_from_flange);
+            solutions.retain(|q| self.posture(q) == wanted);
+        }
+        solutions
+    }
+
+    /// Of the solutions of a pose and their full turns within `min..max` (rad), the one nearest to `near`
+    /// (largest joint difference).
+    pub fn inverse_near(
+        &self,
+        base_from_flange: &Isometry3<f64>,
+        near: &Joints,
+        range: (f64, f64),
+    ) -> Option<Joints> {
+        let unwound = self.inverse(base_from_flange).into_iter();
+        unwound
+            .filter_map(|solution| unwind(&solution, near, range))
+            .min_by(|a, b| a.max_difference(near).total_cmp(&b.max_difference(near)))
+    }
+
+    /// The solution of a pose that a continuous motion from `start` leads to; `None` where there is none, or
+    /// where a singularity lies between.
+    pub fn inverse_from(&self, base_from_flange: &Isometry3<f64>, start: &Joints) -> Option<Joints> {
+        refine(&self.chain, base_from_flange, *start)
+    }
+
+    /// Which of the 2 x 2 x 2 solution families `q` belongs to: wrist in front of the shoulder axis or
+    /// behind, sign of the elbow, sign of wrist 2. Within one family a continuous motion stays away from
+    /// singularities.
+    pub fn posture(&self, q: &Joints) -> [bool; 3] {
+        family(&self.chain, q).map(|value| value > 0.0)
+    }
+
+    /// The closed form is exact for this arm, but near its singularities and at the edge of reach.
+    fn is_nominal(&self) -> bool {
+        self.dh == self.model.dh
+    }
+
+    /// The closed form's solutions of a pose, and whether each is sure.
+    fn starts(&self, base_from_flange: &Isometry3<f64>) -> Vec<(Joints, bool)> {
+        let beyond = if self.is_nominal() { BEYOND_EXACT } else { BEYOND };
+        inverse_nominal(&self.model.dh, base_from_flange, &[0.0], beyond)
+    }
+
+    /// The solution of this arm that a start of the closed form leads to.
+    fn refined(&self, base_from_flange: &Isometry3<f64>, start: &Joints, sure: bool) -> Option<Joints> {
+        if sure && self.is_nominal() { Some(*start) } else { refine(&self.chain, base_from_flange, *start) }
+    }
+
+    /// Solutions where two singularities meet: there the calibrated arm is elsewhere than the nominal one by
+    /// far more than the calibration itself. Few poses are like this, and most that are out of reach are not.
+    fn at_singularities(
+        &self,
+        base_from_flange: &Isometry3<f64>,
+        starts: Vec<(Joints, bool)>,
+    ) -> Vec<Joints> {
+        let nominal = &self.model.dh;
+        let at_boundary = !starts.is_empty();
+        let far = inverse_nominal(nominal, base_from_flange, AROUND, FAR_BEYOND);
+        let off = |q: &Joints| pose_error(&self.nominal.forward(q), base_from_flange).norm();
+        let starts = starts.into_iter().chain(far).map(|(start, _)| (off(&start), start));
+        let mut near: Vec<(f64, Joints)> = starts.filter(|(off, _)| *off < NEAR).collect();
+        near.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let shoulder = wrist_radius(nominal, base_from_flange) < SINGULAR_SHOULDER * nominal.d[3];
+        let two_meet = near.iter().any(|(_, q)| {
+            let [wrist, elbow] = [4, 2].map(|joint| q.0[joint].sin().abs() < SINGULAR);
+            [wrist, elbow, shoulder].into_iter().filter(|near| *near).count() > 1
+        });
+        let nearest = near.iter().map(|(_, start)| *start).take(NEAREST).filter(|_| at_boundary || two_meet);
+        let starts = nearest.chain(all_over(ANYWHERE).filter(|_| two_meet));
+        let found = starts.filter_map(|start| refine_damped(&self.chain, base_from_flange, start));
+        let mut solutions = Vec::new();
+        found.take(SINGULAR_SOLUTIONS).for_each(|joints| note(&mut solutions, Some(joints)));
+        solutions
+    }
+}
+
 /// `base_from_flange` for joint positions `q`.
 pub fn forward(dh: &DhParameters, q: &Joints) -> Isometry3<f64> {
-    Chain::of(dh).forward(q)
+    flange_of(dh, q)
 }
 
 /// `base_from_link` of the six links, base to flange, where the links truly are (see [`Chain`]).
@@ -100,55 +257,6 @@ pub fn jacobian_at(frames: &[Isometry3<f64>; 6]) -> Matrix6<f64> {
     jacobian
 }
 
-/// All joint solutions of a flange pose, each joint in (-pi, pi]; empty when the pose is out of reach.
-///
-/// At a wrist singularity (joint 5 at 0 or pi) joint 6 is free and taken as 0.
-pub fn inverse(dh: &DhParameters, base_from_flange: &Isometry3<f64>) -> Vec<Joints> {
-    let nominal = &model_of(dh).dh;
-    let mut solutions: Vec<Joints> = Vec::with_capacity(8);
-    // The closed form is exact for the nominal arm, but near its singularities and at the edge of reach.
-    let exact = dh == nominal;
-    let beyond = if exact { BEYOND_EXACT } else { BEYOND };
-    let starts = inverse_nominal(nominal, base_from_flange, &[0.0], beyond);
-    let chain = Chain::of(dh);
-    for (start, sure) in &starts {
-        let found = if *sure && exact { Some(*start) } else { refine(&chain, base_from_flange, *start) };
-        note(&mut solutions, found);
-    }
-    // Where the nominal arm is not at one of its boundaries, its closed form has said all.
-    if solutions.is_empty() && !(exact && starts.is_empty()) {
-        solutions = at_singularities(dh, base_from_flange, starts);
-    }
-    solutions
-}
-
-/// Solutions where two singularities meet: there the calibrated arm is elsewhere than the nominal one by far
-/// more than the calibration itself. Few poses are like this, and most that are out of reach are not.
-fn at_singularities(
-    dh: &DhParameters,
-    base_from_flange: &Isometry3<f64>,
-    starts: Vec<(Joints, bool)>,
-) -> Vec<Joints> {
-    let nominal = &model_of(dh).dh;
-    let at_boundary = !starts.is_empty();
-    let far = inverse_nominal(nominal, base_from_flange, AROUND, FAR_BEYOND);
-    let off = |q: &Joints| pose_error(&forward(nominal, q), base_from_flange).norm();
-    let starts = starts.into_iter().chain(far).map(|(start, _)| (off(&start), start));
-    let mut near: Vec<(f64, Joints)> = starts.filter(|(off, _)| *off < NEAR).collect();
-    near.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let shoulder = wrist_radius(nominal, base_from_flange) < SINGULAR_SHOULDER * nominal.d[3];
-    let two_meet = near.iter().any(|(_, q)| {
-        let [wrist, elbow] = [4, 2].map(|joint| q.0[joint].sin().abs() < SINGULAR);
-        [wrist, elbow, shoulder].into_iter().filter(|near| *near).count() > 1
-    });
-    let nearest = near.iter().map(|(_, start)| *start).take(NEAREST).filter(|_| at_boundary || two_meet);
-    let starts = nearest.chain(all_over(ANYWHERE).filter(|_| two_meet));
-    let found = starts.filter_map(|start| refine_damped(dh, base_from_flange, start));
-    let mut solutions = Vec::new();
-    found.take(SINGULAR_SOLUTIONS).for_each(|joints| note(&mut solutions, Some(joints)));
-    solutions
-}
-
 /// How far the wrist is from the shoulder's axis, m.
 fn wrist_radius(dh: &DhParameters, base_from_flange: &Isometry3<f64>) -> f64 {
     let wrist = base_from_flange * nalgebra::Point3::new(0.0, 0.0, -dh.d[5]);
@@ -164,64 +272,10 @@ fn note(solutions: &mut Vec<Joints>, found: Option<Joints>) {
     }
 }
 
-/// Of the solutions of a pose and their full turns within `min..max` (rad), the one nearest to `near`
-/// (largest joint difference).
-pub fn inverse_near(
-    dh: &DhParameters,
-    base_from_flange: &Isometry3<f64>,
-    near: &Joints,
-    range: (f64, f64),
-) -> Option<Joints> {
-    inverse(dh, base_from_flange)
-        .into_iter()
-        .filter_map(|solution| unwind(&solution, near, range))
-        .min_by(|a, b| a.max_difference(near).total_cmp(&b.max_difference(near)))
-}
-
-/// The solution of a pose that a continuous motion from `start` leads to; `None` where there is none, or
-/// where a singularity lies between.
-pub fn inverse_from(dh: &DhParameters, base_from_flange: &Isometry3<f64>, start: &Joints) -> Option<Joints> {
-    refine(&Chain::of(dh), base_from_flange, *start)
-}
-
-/// Which of the 2 x 2 x 2 solution families `q` belongs to: wrist in front of the shoulder axis or behind,
-/// sign of the elbow, sign of wrist 2. Within one family a continuous motion stays away from singularities.
-pub fn posture(dh: &DhParameters, q: &Joints) -> [bool; 3] {
-    family(&Chain::of(dh), q).map(|value| value > 0.0)
-}
-
 /// What decides on the family: the wrist's distance before the shoulder axis, m, and two sines.
 fn family(chain: &Chain, q: &Joints) -> [f64; 3] {
     let link_1_from_4 = chain.link(1, q.0[1]) * chain.link(2, q.0[2]) * chain.link(3, q.0[3]);
     [link_1_from_4.translation.vector.x, q.0[2].sin(), q.0[4].sin()]
-}
-
-/// The solutions of [`inverse`] that are of one family, in the same order. A start of the closed form that
-/// is clearly of another family is not refined.
-pub fn inverse_in(dh: &DhParameters, base_from_flange: &Isometry3<f64>, wanted: [bool; 3]) -> Vec<Joints> {
-    let nominal = &model_of(dh).dh;
-    let (chain, closed) = (Chain::of(dh), Chain::of(nominal));
-    let exact = dh == nominal;
-    let beyond = if exact { BEYOND_EXACT } else { BEYOND };
-    let other = |start: &Joints| {
-        let values = family(&closed, start).into_iter().zip(CLEARLY).zip(wanted);
-        values.into_iter().any(|((value, clearly), wanted)| value.abs() > clearly && (value > 0.0) != wanted)
-    };
-    let mut solutions = Vec::new();
-    for (start, sure) in inverse_nominal(nominal, base_from_flange, &[0.0], beyond) {
-        if sure && other(&start) {
-            continue;
-        }
-        let found = if sure && exact { Some(start) } else { refine(&chain, base_from_flange, start) };
-        note(&mut solutions, found);
-    }
-    let of_family = |q: &Joints| family(&chain, q).map(|value| value > 0.0) == wanted;
-    solutions.retain(of_family);
-    if solutions.is_empty() {
-        solutions = inverse(dh, base_from_flange);
-        solutions.retain(of_family);
-    }
-    solutions
 }
 
 /// Adds full turns to each joint so that it comes nearest to `near` inside `range`; `None` if one cannot.
@@ -347,8 +401,8 @@ fn refine(chain: &Chain, target: &Isometry3<f64>, start: Joints) -> Option<Joint
 
 /// The same by Levenberg and Marquardt, for starts near a singularity: slower, and it comes nearer with
 /// every step.
-fn refine_damped(dh: &DhParameters, target: &Isometry3<f64>, start: Joints) -> Option<Joints> {
-    let error_at = |q: &Joints| pose_error(&forward(dh, q), target);
+fn refine_damped(chain: &Chain, target: &Isometry3<f64>, start: Joints) -> Option<Joints> {
+    let error_at = |q: &Joints| pose_error(&chain.forward(q), target);
     let (mut q, mut damping) = (start, 1e-4);
     let mut error = error_at(&q);
     let mut before = f64::INFINITY;
@@ -360,7 +414,7 @@ fn refine_damped(dh: &DhParameters, target: &Isometry3<f64>, start: Joints) -> O
         if step % STEPS_TO_HALVE == 0 && error.norm() > 0.5 * std::mem::replace(&mut before, error.norm()) {
             return None;
         }
-        let j = jacobian(dh, &q);
+        let j = jacobian_at(&chain.frames(&q));
         let damped = j.transpose() * j + Matrix6::identity() * damping;
         let step = damped.cholesky()?.solve(&(j.transpose() * error));
         if !step.iter().all(|value| value.is_finite()) {

@@ -157,7 +157,7 @@ pub fn links_of_description(joints: &[Isometry3<f64>; 6]) -> Option<[Isometry3<f
 mod tests {
     use super::*;
     use crate::bodies::capsules;
-    use crate::kinematics::{forward, inverse, jacobian, link_frames};
+    use crate::kinematics::{Kinematics, forward, jacobian, link_frames};
     use crate::testing::{PUBLISHED, PUBLISHED_UR5E, described};
     use nalgebra::{Point3, Vector6};
     use rand::{RngExt, SeedableRng};
@@ -293,7 +293,7 @@ mod tests {
                 if wrist.x.hypot(wrist.y) < 0.25 {
                     continue;
                 }
-                let found = inverse(&dh, &target);
+                let found = Kinematics::of(&dh).inverse(&target);
                 assert!(found.iter().any(|s| s.max_difference(&q) < 1e-7), "{q:?}: {found:?}");
             }
         }

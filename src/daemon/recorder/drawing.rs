@@ -30,8 +30,6 @@ use parry3d_f64::transformation::try_convex_hull;
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
 use std::collections::{BTreeMap, BTreeSet};
-use ur_arm::chain::Chain;
-use ur_arm::kinematics::link_frames;
 
 /// Corners by which round outlines are drawn.
 const CORNERS: usize = 32;
@@ -118,7 +116,9 @@ impl Drawing {
         let here = || {
             let (cell, q) = (self.cell.as_ref()?, self.q.as_ref()?);
             let base_from_camera = match &cell.mount {
-                Mount::Flange { flange_from_camera } => link_frames(&cell.arm.dh, q)[5] * flange_from_camera,
+                Mount::Flange { flange_from_camera } => {
+                    cell.arm.kinematics.chain().frames(q)[5] * flange_from_camera
+                }
                 Mount::Fixed { base_from_camera } => *base_from_camera,
             };
             Some(cell.arm.base_from_table.inverse() * base_from_camera)
@@ -130,7 +130,7 @@ impl Drawing {
     /// Frames of the links with the joints at `q`.
     pub fn moving_frames(&self, now: Timestamp, q: &Joints) -> Option<FrameTransforms> {
         let cell = self.cell.as_ref()?;
-        let links = Chain::of(&cell.arm.dh).placed(q).bodies;
+        let links = cell.arm.kinematics.chain().placed(q).bodies;
         let names = (1..).map(|link| format!("link_{link}"));
         let mut transforms: Vec<_> =
             links.iter().zip(names).map(|(at, name)| frame(now, "base", &name, at)).collect();
@@ -187,7 +187,7 @@ impl Drawing {
             self.gripped = None;
             if let (Some(cell), Some(q)) = (&self.cell, &self.q) {
                 self.carried.arm(&cell.arm, q);
-                let base_from_flange = link_frames(&cell.arm.dh, q)[5];
+                let base_from_flange = cell.arm.kinematics.chain().frames(q)[5];
                 let flange_from_table = base_from_flange.inverse() * cell.arm.base_from_table;
                 self.gripped = self.carried.held().map(|held| (held.id.clone(), flange_from_table));
             }

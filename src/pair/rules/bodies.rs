@@ -18,7 +18,6 @@ use rearrange::geometry::pose::Pose2;
 use std::collections::BTreeMap;
 use ur_arm::bodies::{Capsule, capsules};
 use ur_arm::chain::Chain;
-use ur_arm::kinematics::DhParameters;
 use ur_sim::motion::FRAME_SECONDS;
 use ur_sim::motion::safety::SafetyPlane;
 use ur_sim::world::section::Section;
@@ -52,7 +51,7 @@ const ALONG: usize = 5;
 #[derive(Debug)]
 pub(super) struct Bodies {
     arm: ThinModel,
-    dh: DhParameters,
+    chain: Chain,
     links: Vec<(usize, Capsule)>,
     /// Corners of gripper and camera in the flange frame.
     tool: Vec<(&'static str, Point3<f64>)>,
@@ -77,7 +76,7 @@ impl Bodies {
         let links = capsules(stage.controller.arm.name).into_iter().flatten().enumerate();
         Bodies {
             arm: ThinModel::new(dh, stage.world.base_from_table, rod),
-            dh: *dh,
+            chain: Chain::of(dh),
             links: links
                 .skip(2)
                 .flat_map(|(frame, each)| each.iter().map(move |one| (frame, *one)))
@@ -198,7 +197,7 @@ impl Bodies {
         if self.equipment.is_empty() && self.planes.is_empty() {
             return f64::INFINITY;
         }
-        let frames = Chain::of(&self.dh).placed(&truth.q).bodies;
+        let frames = self.chain.placed(&truth.q).bodies;
         let links = self.links.iter().flat_map(|(frame, capsule)| {
             let radius = capsule.radius - THINNER_M;
             along(capsule).map(move |point| ("the arm", frames[*frame - 1] * point, radius))

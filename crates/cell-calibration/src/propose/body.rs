@@ -7,7 +7,6 @@
 use cell_motion::path::ArmModel;
 use cell_values::units::Joints;
 use nalgebra::{Point3, Vector3};
-use ur_arm::kinematics::link_frames;
 
 /// Half a link's width, m: a UR5e's widest joint.
 const HALF_WIDTH_M: f64 = 0.06;
@@ -29,7 +28,7 @@ pub(super) struct Body {
 impl Body {
     /// The arm with these joints.
     pub(super) fn new(model: &ArmModel, q: &Joints) -> Body {
-        let frames = link_frames(&model.dh, q);
+        let frames = model.kinematics.chain().frames(q);
         let at = frames.map(|frame| Point3::from(frame.translation.vector));
         let beside = frames[0].rotation * Vector3::z() * UPPER_ARM_BESIDE_M;
         let mut links = vec![[at[0] + beside, at[1] + beside]];

@@ -16,7 +16,6 @@ use cell_vision::marker;
 use cell_vision::observe::ReferenceMarker;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use std::f64::consts::PI;
-use ur_arm::kinematics::forward;
 
 /// The golden angle: directions of tilt that never bunch up, rad.
 const AZIMUTH_STEP: f64 = 2.399_963;
@@ -98,7 +97,7 @@ impl Scene<'_> {
     /// The target's markers as the arm shows them with these joints: to a fixed camera, those that the arm
     /// does not hide.
     pub(super) fn visible(&self, q: &Joints) -> Vec<Detection> {
-        let [base_from_target, _] = self.placed(&forward(&self.model.dh, q));
+        let [base_from_target, _] = self.placed(&self.model.kinematics.forward(q));
         self.visible_of(&self.target, &base_from_target, q)
     }
 
@@ -109,7 +108,7 @@ impl Scene<'_> {
         base_from_markers: &Isometry3<f64>,
         q: &Joints,
     ) -> Vec<Detection> {
-        let [_, base_from_camera] = self.placed(&forward(&self.model.dh, q));
+        let [_, base_from_camera] = self.placed(&self.model.kinematics.forward(q));
         let mut seen = self.seen(markers, &(base_from_markers.inverse() * base_from_camera));
         if let Carried::Board { .. } = self.carried {
             let (body, eye) = (Body::new(self.model, q), Point3::from(base_from_camera.translation.vector));
@@ -131,7 +130,7 @@ impl Scene<'_> {
         (0..=ON_THE_WAY).all(|k| {
             let share = f64::from(k) / f64::from(ON_THE_WAY);
             let q = from.lerp(to, share);
-            let [base_from_board, _] = self.placed(&forward(&self.model.dh, &q));
+            let [base_from_board, _] = self.placed(&self.model.kinematics.forward(&q));
             let corners = [[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]]
                 .map(|[x, y]| base_from_board * Point3::new(x, y, 0.0));
             let over_table = |corner: &Point3<f64>| (self.model.base_from_table.inverse() * corner).z;
@@ -177,7 +176,7 @@ impl Scene<'_> {
     /// With no turn the hand hangs as at home: how far it is off, rad.
     pub(super) fn stand_upright(&mut self) -> Result<(), f64> {
         let Carried::Board { .. } = self.carried else { return Ok(()) };
-        let home = forward(&self.model.dh, &self.model.home).rotation;
+        let home = self.model.kinematics.forward(&self.model.home).rotation;
         let off = |roll: f64| {
             let look = Isometry3::from_parts(Translation3::identity(), direction(0.0, 0, roll));
             self.base_from_flange(&look).rotation.angle_to(&home)

@@ -11,7 +11,7 @@ use cell_vision::observe::ReferenceMarker;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rearrange::geometry::pose::Pose2;
 use std::path::Path;
-use ur_arm::kinematics::DhParameters;
+use ur_arm::kinematics::{DhParameters, Kinematics};
 
 /// Where the arm waits.
 fn park() -> Joints {
@@ -39,7 +39,7 @@ fn arm(drawn: &Drawn) -> ArmModel {
     let mut joint_range = [turn; 6];
     joint_range[2] = (rad_from_deg(-175.0), rad_from_deg(175.0));
     ArmModel {
-        dh: DhParameters::UR5E,
+        kinematics: Kinematics::of(&DhParameters::UR5E),
         base_from_table: drawn.base_from_table,
         flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
         home: Joints([-91.7, -91.7, 108.9, -108.9, -90.0, 0.0].map(rad_from_deg)),
@@ -78,7 +78,7 @@ fn assert_stays_in(drawn: &Drawn, model: &ArmModel, start: Option<Joints>, poses
         for k in 0..=1000 {
             let share = f64::from(k) / 1000.0;
             let on_way = at.lerp(q, share);
-            let flange = forward(&model.dh, &on_way);
+            let flange = model.kinematics.forward(&on_way);
             assert!(room.outside_m(&flange.translation.vector) < 1e-4, "pose {index} at {share}");
             assert!(model.tool_at(&on_way).translation.z > 0.049, "pose {index}");
         }
@@ -94,7 +94,7 @@ fn poses_stay_in_the_box_see_markers_and_turn_about_both_axes() {
     let model = arm(&drawn);
     assert_stays_in(&drawn, &model, Some(park()), &found.poses);
     let tilt = |axis: usize| {
-        let of = |q: &Joints| (forward(&model.dh, q).rotation * Vector3::z())[axis];
+        let of = |q: &Joints| (model.kinematics.forward(q).rotation * Vector3::z())[axis];
         let all: Vec<f64> = found.poses.iter().map(of).collect();
         all.iter().copied().fold(f64::MIN, f64::max) - all.iter().copied().fold(f64::MAX, f64::min)
     };
@@ -157,7 +157,7 @@ fn a_board_is_carried_through_the_picture_of_a_camera_that_stands_however_it_is_
 #[test]
 fn a_box_that_is_too_small_low_or_missing_is_reported() {
     let mut drawn = example();
-    let here = forward(&DhParameters::UR5E, &park()).translation.vector;
+    let here = Kinematics::of(&DhParameters::UR5E).forward(&park()).translation.vector;
     let round = |half: f64| CalibrationBox {
         low_m: std::array::from_fn(|i| here[i] - half),
         high_m: std::array::from_fn(|i| here[i] + half),

@@ -70,7 +70,7 @@ impl Supervisor {
             "another arm answers, or it was calibrated anew: its kinematics differ from those celld started \
                     with"
                 .to_string();
-        (*dh != self.model.arm.dh).then_some(Difference { what, hint: ANEW })
+        (dh != self.model.arm.kinematics.dh()).then_some(Difference { what, hint: ANEW })
     }
 }
 

@@ -28,7 +28,7 @@ use rearrange::planning::plan::{Action as PlanAction, ActionKind, Objective};
 use rearrange::planning::solver::SolverKind;
 use rearrange::tabletop::instance::{KeepOut, MarkerSpec, Workspace};
 use std::f64::consts::TAU;
-use ur_arm::kinematics::DhParameters;
+use ur_arm::kinematics::{DhParameters, Kinematics};
 use ur_wire::enumerations::{RobotMode, RuntimeState, SafetyMode};
 
 const HOME: Joints = Joints([-1.6, -1.6, 1.9, -1.9, -1.57, 0.0]);
@@ -79,7 +79,7 @@ fn model() -> CellModel {
         plans_before: 0,
         cut_off: None,
         arm: ArmModel {
-            dh: DhParameters::UR5E,
+            kinematics: Kinematics::of(&DhParameters::UR5E),
             base_from_table: Isometry3::translation(-0.25, 0.18, 0.0),
             flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
             home: HOME,

@@ -18,7 +18,6 @@ use crate::supervisor::reason::say;
 use crate::supervisor::round::{Round, RoundFault, RoundOrder};
 use cell_motion::slow::slow_move;
 use cell_values::time::{Duration, Timestamp};
-use ur_arm::kinematics::forward;
 
 /// The arm is at rest for this long before a picture.
 const SETTLE: Duration = Duration::from_millis(500);
@@ -134,7 +133,7 @@ impl Supervisor {
             rest.report(now).into_iter().for_each(|why| say(out, why));
         } else {
             let pose = self.round.as_ref().map_or(0, |round| round.at + 1);
-            let base_from_flange = forward(&self.model.arm.dh, &robot.q);
+            let base_from_flange = self.model.arm.kinematics.forward(&robot.q);
             out.push(Action::Picture { pose, base_from_flange });
             self.enter(Phase::Visit(Visit::Picturing), PICTURE_WITHIN);
         }

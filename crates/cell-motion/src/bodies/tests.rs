@@ -30,7 +30,7 @@ fn beside(name: &str, shape: Shape) -> ArmModel {
         link_floor: 0.03,
         cell,
     };
-    model.bodies = Bodies::new(&model.dh, &surroundings);
+    model.bodies = Bodies::new(model.kinematics.dh(), &surroundings);
     model
 }
 
@@ -337,7 +337,7 @@ fn what_sticks_out_behind_the_flange_is_kept_clear_of_wrist_2() {
         link_floor: 0.03,
         cell: with_arm,
     };
-    let (bodies, empty) = (Bodies::new(&plain.dh, &surroundings), Room::empty());
+    let (bodies, empty) = (Bodies::new(plain.kinematics.dh(), &surroundings), Room::empty());
     let mut sweep = Sweep::new(&bodies, &empty);
     let met: Vec<Option<String>> = (0..36)
         .map(|k| {

@@ -17,7 +17,6 @@ use crate::path::leg::{Leg, Segment};
 use crate::path::traced::{Traced, at_distance};
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Vector3};
-use ur_arm::kinematics::{forward, inverse_from};
 
 /// Distances kept from the arm's singularities on linear segments, where joint speeds would run away
 /// (reference: ur-interfaces 6.3). Joint segments cross them harmlessly.
@@ -330,7 +329,9 @@ fn on_line(
         let rotation = start.rotation.try_slerp(&end.rotation, share, 1e-9).unwrap_or(end.rotation);
         let position = start.translation.vector.lerp(&end.translation.vector, share);
         let tool = Isometry3::from_parts(position.into(), rotation);
-        let q = inverse_from(&model.dh, &model.flange_at(&tool), &near)
+        let q = model
+            .kinematics
+            .inverse_from(&model.flange_at(&tool), &near)
             .ok_or_else(|| out_of_reach("on a straight line", &tool))?;
         // A continuous solution moves little from sample to sample; a jump means the branches met.
         if q.max_difference(&near) > 0.35 {
@@ -380,7 +381,7 @@ fn slowed_on_line(model: &ArmModel, points: &[Joints], length: f64, leg: &Leg) -
 }
 
 fn check_singular(model: &ArmModel, q: &Joints) -> Result<(), PathFault> {
-    let wrist = forward(&model.dh, q) * nalgebra::Point3::new(0.0, 0.0, -model.dh.d[5]);
+    let wrist = model.kinematics.forward(q) * nalgebra::Point3::new(0.0, 0.0, -model.kinematics.dh().d[5]);
     if q.0[4].sin().abs() < MIN_WRIST_SINE {
         Err(PathFault::Singular { which: "wrist".into() })
     } else if q.0[2].sin().abs() < MIN_ELBOW_SINE {
@@ -441,8 +442,10 @@ mod tests {
                     let rotation = start.rotation.slerp(&end.rotation, share);
                     let place = start.translation.vector.lerp(&end.translation.vector, share);
                     let tool = model.flange_at(&Isometry3::from_parts(place.into(), rotation));
-                    let there =
-                        inverse_from(&model.dh, &tool, &pair[0]).expect("between two that are in reach");
+                    let there = model
+                        .kinematics
+                        .inverse_from(&tool, &pair[0])
+                        .expect("between two that are in reach");
                     let chord = pair[0].lerp(&pair[1], part);
                     for (joint, bulge) in bulge.iter().enumerate() {
                         let off = (there.0[joint] - chord.0[joint]).abs();

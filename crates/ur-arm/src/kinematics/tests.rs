@@ -75,7 +75,7 @@ fn every_model_finds_its_way_back_with_its_calibration() {
         }
         (dh.d[1], dh.d[2]) = (dh.d[1] + 0.7, dh.d[2] - 0.7);
         for q in [[0.3, -1.2, 1.7, -2.0, -1.4, 0.6], [-1.0, -1.9, -1.3, 0.5, 1.1, 2.0]] {
-            let found = inverse(&dh, &forward(&dh, &Joints(q)));
+            let found = Kinematics::of(&dh).inverse(&forward(&dh, &Joints(q)));
             assert!(found.iter().any(|s| s.max_difference(&Joints(q)) < 1e-7), "{}: {found:?}", model.name);
         }
     }
@@ -100,10 +100,11 @@ fn solutions_of_one_family_are_those_among_all_solutions() {
             q.0[joint] = rng.random_range(-0.3..0.3);
         }
         let pose = forward(&dh, &q);
-        let wanted = posture(&dh, &q);
-        let all = inverse(&dh, &pose).into_iter();
-        let of_family: Vec<Joints> = all.filter(|solution| posture(&dh, solution) == wanted).collect();
-        assert_eq!(inverse_in(&dh, &pose, wanted), of_family, "case {case}: {q:?}");
+        let wanted = Kinematics::of(&dh).posture(&q);
+        let all = Kinematics::of(&dh).inverse(&pose).into_iter();
+        let of_family: Vec<Joints> =
+            all.filter(|solution| Kinematics::of(&dh).posture(solution) == wanted).collect();
+        assert_eq!(Kinematics::of(&dh).inverse_in(&pose, wanted), of_family, "case {case}: {q:?}");
         found += of_family.len();
     }
     assert!(found > 2800, "{found}");
@@ -113,7 +114,7 @@ fn solutions_of_one_family_are_those_among_all_solutions() {
 fn inverse_finds_all_eight_branches() {
     for q in [[0.0, -FRAC_PI_2, FRAC_PI_2, -FRAC_PI_2, -FRAC_PI_2, 0.0], [0.3, -1.2, 1.7, -2.0, -1.4, 0.6]] {
         let target = forward(&DhParameters::UR5E, &Joints(q));
-        let solutions = inverse(&DhParameters::UR5E, &target);
+        let solutions = Kinematics::of(&DhParameters::UR5E).inverse(&target);
         assert_eq!(solutions.len(), 8, "{solutions:?}");
         for solution in &solutions {
             assert!(pose_error(&forward(&DhParameters::UR5E, solution), &target).norm() < 1e-9);
@@ -147,7 +148,7 @@ fn inverse_returns_the_joints_of_a_calibrated_arm() {
             continue;
         }
         tried += 1;
-        let found = inverse(&dh, &target);
+        let found = Kinematics::of(&dh).inverse(&target);
         assert!(found.iter().any(|s| s.max_difference(&q) < 1e-7), "{q:?}: {found:?}");
     }
 }
@@ -168,9 +169,9 @@ fn jacobian_is_the_derivative_of_forward() {
 #[test]
 fn out_of_reach_has_no_solution() {
     let far = Isometry3::translation(1.5, 0.0, 0.3);
-    assert!(inverse(&DhParameters::UR5E, &far).is_empty());
+    assert!(Kinematics::of(&DhParameters::UR5E).inverse(&far).is_empty());
     let at_axis = Isometry3::translation(0.0, 0.0, 0.5);
-    assert!(inverse(&DhParameters::UR5E, &at_axis).is_empty());
+    assert!(Kinematics::of(&DhParameters::UR5E).inverse(&at_axis).is_empty());
 }
 
 #[test]
@@ -203,7 +204,7 @@ fn poses_at_two_singularities_have_joints_too() {
             tried += 1;
             folded += usize::from(q[2].sin().abs() < 0.05);
             let target = forward(&dh, &Joints(q));
-            let found = inverse(&dh, &target);
+            let found = Kinematics::of(&dh).inverse(&target);
             assert!(!found.is_empty(), "{}: {q:?}", model.name);
             for joints in found {
                 assert!(pose_error(&forward(&dh, &joints), &target).norm() < 1e-9, "{q:?}");

@@ -22,7 +22,6 @@ use crate::motion::{Arm, FRAME_SECONDS};
 use cell_values::units::Joints;
 use nalgebra::Isometry3;
 use std::collections::VecDeque;
-use ur_arm::kinematics::forward;
 use ur_arm::pose::{isometry_from_ur_pose, ur_pose_from_isometry};
 use ur_wire::primary_message::MessageBody;
 use urscript::value::ThreadId;
@@ -236,7 +235,10 @@ impl Core {
         let offset = self.rest.offset();
         self.flange = match offset == [0.0; 6] {
             true => self.mover.flange(),
-            false => forward(&self.mover.arm.dh, &Joints(plus(self.mover.q().0, offset))),
+            false => {
+                let actual = Joints(plus(self.mover.q().0, offset));
+                self.mover.arm.kinematics.forward(&actual)
+            }
         };
         self.tcp_pose = ur_pose_from_isometry(&(self.flange * self.mover.arm.flange_from_tcp));
     }

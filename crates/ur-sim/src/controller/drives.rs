@@ -11,7 +11,6 @@ use crate::controller::core::Core;
 use crate::motion::dynamics::{self, Link, Masses, UR5E_LINKS};
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Point3, Vector3, Vector6};
-use ur_arm::kinematics::link_frames;
 
 /// Joint moment per ampere, Nm/A: larger drives carry base to elbow, smaller ones the wrist.
 const TORQUE_PER_AMPERE: [f64; 6] = [13.0, 13.0, 13.0, 9.0, 9.0, 9.0];
@@ -35,7 +34,7 @@ impl Core {
         let mover = &self.mover;
         let gravity = self.felt_gravity();
         let (q, qd, qdd) = (mover.q(), mover.qd(), mover.qdd());
-        dynamics::inverse_dynamics(&mover.arm.dh, &self.masses(), &q, &qd, &qdd, &gravity)
+        dynamics::inverse_dynamics(mover.arm.kinematics.chain(), &self.masses(), &q, &qd, &qdd, &gravity)
     }
 
     /// What an arm at rest feels, m/s2: gravity, and the acceleration of a base that moves.
@@ -66,7 +65,7 @@ impl Core {
     /// Moments that hold against a force and torque (N, Nm) on the TCP in the base frame.
     fn torques_against(&self, wrench: [f64; 6]) -> [f64; 6] {
         let arm = &self.mover.arm;
-        let jacobian = dynamics::tool_jacobian(&arm.dh, &arm.flange_from_tcp, &self.mover.q());
+        let jacobian = dynamics::tool_jacobian(arm.kinematics.chain(), &arm.flange_from_tcp, &self.mover.q());
         (-(jacobian.transpose() * Vector6::from(wrench))).into()
     }
 
@@ -79,8 +78,8 @@ impl Core {
     fn acceleration_of(&self, flange_from_it: &Isometry3<f64>) -> [f64; 6] {
         let mover = &self.mover;
         let (arm, q, qd) = (&mover.arm, mover.q(), mover.qd());
-        let jacobian = dynamics::tool_jacobian(&arm.dh, flange_from_it, &q);
-        let change = dynamics::tool_jacobian_derivative(&arm.dh, flange_from_it, &q, &qd);
+        let jacobian = dynamics::tool_jacobian(arm.kinematics.chain(), flange_from_it, &q);
+        let change = dynamics::tool_jacobian_derivative(arm.kinematics.chain(), flange_from_it, &q, &qd);
         (jacobian * Vector6::from(mover.qdd()) + change * Vector6::from(qd)).into()
     }
 
@@ -109,7 +108,7 @@ impl Core {
 
     /// Mass times place of the centre of mass, base frame, kg m.
     fn mass_moment(&self, q: &Joints) -> Vector3<f64> {
-        let (frames, masses) = (link_frames(&self.mover.arm.dh, q), self.masses());
+        let (frames, masses) = (self.mover.arm.kinematics.chain().frames(q), self.masses());
         let links = masses.links.iter().zip(&frames).chain(std::iter::once((&masses.payload, &frames[5])));
         links.map(|(link, frame)| (frame * Point3::from(link.centre)).coords * link.mass).sum()
     }
@@ -155,7 +154,7 @@ mod tests {
             let height = |q: f64| {
                 let mut joints = controller.core.mover.q();
                 joints.0[1] += q;
-                (link_frames(&arm.dh, &joints)[5] * Point3::from(controller.core.payload.centre)).z
+                (arm.kinematics.chain().frames(&joints)[5] * Point3::from(controller.core.payload.centre)).z
             };
             (height(1e-5) - height(-1e-5)) / 2e-5
         };
@@ -166,7 +165,8 @@ mod tests {
         controller.core.sensing.set_contact_wrench([0.0, 0.0, 10.0, 0.0, 0.0, 0.0]);
         let pressed = controller.core.joint_moments();
         let arm = &controller.core.mover.arm;
-        let jacobian = dynamics::tool_jacobian(&arm.dh, &arm.flange_from_tcp, &controller.core.mover.q());
+        let jacobian =
+            dynamics::tool_jacobian(arm.kinematics.chain(), &arm.flange_from_tcp, &controller.core.mover.q());
         assert!((pressed[1] - loaded[1] + 10.0 * jacobian[(2, 1)]).abs() < 1e-6, "{pressed:?}");
         assert_eq!(actual_currents(&controller)[1] * TORQUE_PER_AMPERE[1], pressed[1]);
         // The sensor forgets what presses when it is zeroed; the drives hold against it all the same.

@@ -157,7 +157,7 @@ fn history(core: &Core, call: &Call<'_>) -> Result<Value, String> {
 
 fn freedrive_status(core: &Core) -> i32 {
     let arm = &core.mover.arm;
-    nearness(dynamics::tool_jacobian(&arm.dh, &arm.flange_from_tcp, &core.mover.q()))
+    nearness(dynamics::tool_jacobian(arm.kinematics.chain(), &arm.flange_from_tcp, &core.mover.q()))
 }
 
 /// 0 free to move, 1 near a singularity, 2 too near, or a Jacobian that has no singular values.
@@ -181,13 +181,17 @@ fn matrices(core: &Core, call: &Call<'_>) -> Option<Result<Value, String>> {
     };
     let qd = || joints(1, core.mover.qd());
     Some(match call.name {
-        "get_jacobian" => q().and_then(|q| Ok(matrix(&dynamics::tool_jacobian(&arm.dh, &tcp(1)?, &q)))),
-        "get_jacobian_time_derivative" => {
-            q().and_then(|q| Ok(matrix(&dynamics::tool_jacobian_derivative(&arm.dh, &tcp(2)?, &q, &qd()?))))
+        "get_jacobian" => {
+            q().and_then(|q| Ok(matrix(&dynamics::tool_jacobian(arm.kinematics.chain(), &tcp(1)?, &q))))
         }
-        "get_mass_matrix" => q().map(|q| matrix(&dynamics::mass_matrix(&arm.dh, &core.masses(), &q))),
+        "get_jacobian_time_derivative" => q().and_then(|q| {
+            Ok(matrix(&dynamics::tool_jacobian_derivative(arm.kinematics.chain(), &tcp(2)?, &q, &qd()?)))
+        }),
+        "get_mass_matrix" => {
+            q().map(|q| matrix(&dynamics::mass_matrix(arm.kinematics.chain(), &core.masses(), &q)))
+        }
         "get_coriolis_and_centrifugal_torques" => q().and_then(|q| {
-            Ok(Value::numbers(dynamics::velocity_torques(&arm.dh, &core.masses(), &q, &qd()?)))
+            Ok(Value::numbers(dynamics::velocity_torques(arm.kinematics.chain(), &core.masses(), &q, &qd()?)))
         }),
         _ => return None,
     })

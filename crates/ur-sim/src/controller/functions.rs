@@ -15,7 +15,6 @@ use crate::controller::{
 use crate::motion::FRAMES_PER_SECOND;
 use cell_values::units::Joints;
 use nalgebra::Isometry3;
-use ur_arm::kinematics::{forward, inverse_near};
 use ur_arm::pose::{isometry_from_ur_pose, ur_pose_from_isometry};
 use ur_wire::primary_message::MessageBody;
 use urscript::host::{Call, Host, Reply};
@@ -134,7 +133,7 @@ fn solve(core: &Core, call: &Call<'_>, pose: [f64; 6]) -> Result<Option<Joints>,
     };
     let flange = isometry_from_ur_pose(pose) * tcp_argument(core, call, 4)?.inverse();
     let arm = &core.mover.arm;
-    Ok(inverse_near(&arm.dh, &flange, &near, (-arm.joint_range, arm.joint_range)))
+    Ok(arm.kinematics.inverse_near(&flange, &near, (-arm.joint_range, arm.joint_range)))
 }
 
 fn kinematics(core: &Core, call: &Call<'_>) -> Option<Result<Value, String>> {
@@ -167,7 +166,8 @@ fn kinematics(core: &Core, call: &Call<'_>) -> Option<Result<Value, String>> {
 fn safe(core: &Core, q: &Joints) -> bool {
     let (arm, config) = (&core.mover.arm, &core.config);
     let tcp = arm.tcp(q).translation.vector;
-    config.safety.intrusion(config.arm.name, &arm.dh, q, &tcp).is_none()
+    let bodies = arm.kinematics.chain().placed(q).bodies;
+    config.safety.intrusion(config.arm.name, &bodies, &tcp).is_none()
 }
 
 fn forward_kin(core: &Core, call: &Call<'_>) -> Result<Value, String> {
@@ -178,7 +178,7 @@ fn forward_kin(core: &Core, call: &Call<'_>) -> Result<Value, String> {
     if !q.is_finite() {
         return Err("get_forward_kin: the joint positions are not finite".to_owned());
     }
-    let pose = forward(&core.mover.arm.dh, &q) * tcp_argument(core, call, 1)?;
+    let pose = core.mover.arm.kinematics.forward(&q) * tcp_argument(core, call, 1)?;
     Ok(Value::Pose(ur_pose_from_isometry(&pose)))
 }
 

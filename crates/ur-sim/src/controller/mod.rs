@@ -169,7 +169,7 @@ impl Controller {
             return;
         }
         let tcp = mover.tcp().translation.vector;
-        let found = config.safety.intrusion(config.arm.name, &mover.arm.dh, &mover.q(), &tcp);
+        let found = config.safety.intrusion(config.arm.name, &mover.placed().bodies, &tcp);
         let depth = found.as_ref().map_or(0.0, |found| found.depth);
         let deeper = depth > std::mem::replace(&mut self.core.intrusion_m, depth);
         if let Some(found) = found.filter(|_| deeper) {

@@ -15,7 +15,6 @@ use crate::motion::segment::MoveLimits;
 use crate::motion::{FRAME_SECONDS, MotionFault};
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Matrix6, Vector6};
-use ur_arm::kinematics::inverse_near;
 use ur_arm::pose::isometry_from_ur_pose;
 use ur_wire::primary_message::MessageBody;
 use urscript::host::{Call, Reply};
@@ -224,7 +223,8 @@ fn joints_of(core: &Core, call: &Call<'_>) -> Result<Joints, String> {
 fn joints_for(core: &Core, base_from_tcp: &Isometry3<f64>) -> Result<Joints, String> {
     let arm = &core.mover.arm;
     let flange = base_from_tcp * arm.flange_from_tcp.inverse();
-    inverse_near(&arm.dh, &flange, &core.mover.q(), (-arm.joint_range, arm.joint_range))
+    arm.kinematics
+        .inverse_near(&flange, &core.mover.q(), (-arm.joint_range, arm.joint_range))
         .ok_or_else(|| "movej: unable to find an inverse kinematics solution".to_owned())
 }
 
@@ -297,15 +297,15 @@ fn torque(core: &mut Core, call: &Call<'_>) -> Result<Reply, String> {
     take_arm(core, call)?;
     let torque = Vector6::from(finite(call, 0)?);
     let (mover, masses) = (&core.mover, core.masses());
-    let (dh, q, qd) = (&mover.arm.dh, mover.q(), mover.qd());
+    let (chain, q, qd) = (mover.arm.kinematics.chain(), mover.q(), mover.qd());
     let friction = Vector6::from(FRICTION);
-    let taken = Vector6::from(dynamics::velocity_torques(dh, &masses, &q, &qd))
+    let taken = Vector6::from(dynamics::velocity_torques(chain, &masses, &q, &qd))
         + friction.component_mul(&Vector6::from(qd));
     let felt = Vector6::from(core.tcp_force());
-    let felt = dynamics::tool_jacobian(dh, &mover.arm.flange_from_tcp, &q).transpose() * felt;
+    let felt = dynamics::tool_jacobian(chain, &mover.arm.flange_from_tcp, &q).transpose() * felt;
     // Friction of the speed to come, not of the present one: light wrists would else swing up.
     let inertia =
-        dynamics::mass_matrix(dh, &masses, &q) + Matrix6::from_diagonal(&(friction * FRAME_SECONDS));
+        dynamics::mass_matrix(chain, &masses, &q) + Matrix6::from_diagonal(&(friction * FRAME_SECONDS));
     let solved = inertia.cholesky().map(|matrix| matrix.solve(&(torque + felt - taken)));
     let acceleration =
         solved.ok_or_else(|| "direct_torque: the payload's inertia is impossible".to_owned())?;

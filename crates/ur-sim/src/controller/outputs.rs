@@ -7,7 +7,6 @@
 use crate::controller::Controller;
 use crate::controller::drives;
 use crate::controller::registers::bits_word;
-use ur_arm::kinematics::link_frames;
 use ur_arm::pose::ur_pose_from_isometry;
 use ur_wire::rtde_values::Value;
 use ur_wire::rtde_variables::{self, Register};
@@ -155,7 +154,7 @@ pub fn grade(name: &str) -> Option<Grade> {
 /// Elbow (origin of the third joint's frame) in the base frame, m.
 pub fn elbow(controller: &Controller) -> [f64; 3] {
     let mover = &controller.core.mover;
-    link_frames(&mover.arm.dh, &mover.q())[1].translation.vector.into()
+    mover.placed().frames[1].translation.vector.into()
 }
 
 /// Speed of the elbow in the base frame, m/s: a difference over a step of the joints that no rounding
@@ -165,7 +164,7 @@ pub fn elbow_velocity(controller: &Controller) -> [f64; 3] {
     let mover = &controller.core.mover;
     let mut ahead = mover.q();
     ahead.0.iter_mut().zip(mover.qd()).for_each(|(q, qd)| *q += qd * STEP_S);
-    let ahead = link_frames(&mover.arm.dh, &ahead)[1].translation.vector;
+    let ahead = mover.arm.kinematics.chain().frames(&ahead)[1].translation.vector;
     let now = elbow(controller);
     std::array::from_fn(|axis| (ahead[axis] - now[axis]) / STEP_S)
 }

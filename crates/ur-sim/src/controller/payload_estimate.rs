@@ -9,7 +9,6 @@ use crate::controller::core::Core;
 use cell_values::units::Joints;
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Vector3};
 use std::f64::consts::PI;
-use ur_arm::kinematics::forward;
 use ur_arm::pose::isometry_from_ur_pose;
 use urscript::host::Call;
 use urscript::value::Value;
@@ -71,7 +70,7 @@ fn flange(core: &Core, pose: &Value) -> Result<Isometry3<f64>, String> {
     let arm = &core.mover.arm;
     Ok(match pose {
         Value::Pose(_) => isometry_from_ur_pose(numbers) * arm.flange_from_tcp.inverse(),
-        _ => forward(&arm.dh, &Joints(numbers)),
+        _ => arm.kinematics.forward(&Joints(numbers)),
     })
 }
 
@@ -133,7 +132,7 @@ mod tests {
         let (mass, centre) = (2.5, Vector3::new(0.01, -0.02, 0.08));
         let (force0, torque0) = (Vector3::new(3.0, -1.0, 2.0), Vector3::new(0.1, 0.2, -0.3));
         let of = |q: &[f64; 6]| {
-            let flange = forward(&core.mover.arm.dh, &Joints(*q));
+            let flange = core.mover.arm.kinematics.forward(&Joints(*q));
             let weight = Vector3::new(0.0, 0.0, -mass * core.payload.gravity[2]);
             let lever = flange.rotation * (centre - core.mover.arm.flange_from_tcp.translation.vector);
             let force = weight + flange.rotation * force0;
@@ -197,7 +196,7 @@ mod tests {
         }
         let controller = Controller::new(ControllerConfig::ur5e(1));
         let flanges: Vec<Isometry3<f64>> =
-            POSTURES.iter().map(|q| forward(&controller.core.mover.arm.dh, &Joints(*q))).collect();
+            POSTURES.iter().map(|q| controller.core.mover.arm.kinematics.forward(&Joints(*q))).collect();
         let endless = Vector3::new(f64::NAN, 0.0, 0.0);
         assert!(solve(&flanges, &[[0.0; 6]; 4], &Vector3::zeros(), &endless).is_none());
         let said = said(&format!("def e():\n textmsg(estimate_payload({four}, {none}))\nend\n"));

@@ -90,7 +90,7 @@ fn safety_data(controller: &Controller) -> Vec<u8> {
 /// What a connection gets once: kinematics and configuration.
 pub fn once(controller: &Controller) -> Vec<SubPackage> {
     let arm = &controller.core.mover.arm;
-    let dh = arm.dh;
+    let dh = arm.kinematics.dh();
     vec![
         SubPackage::Kinematics(KinematicsData {
             checksum: checksum(controller),
@@ -125,7 +125,7 @@ fn robot_type(model: &str) -> i32 {
 
 /// One number per joint that changes with its calibration.
 fn checksum(controller: &Controller) -> [u32; 6] {
-    let dh = controller.core.mover.arm.dh;
+    let dh = controller.core.mover.arm.kinematics.dh();
     std::array::from_fn(|joint| {
         let mut hash = Sha256::new();
         [dh.theta[joint], dh.a[joint], dh.d[joint], dh.alpha[joint]]

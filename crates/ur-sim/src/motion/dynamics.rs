@@ -8,7 +8,8 @@
 
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3, Vector6};
-use ur_arm::kinematics::{DhParameters, jacobian, link_frames};
+use ur_arm::chain::Chain;
+use ur_arm::kinematics::jacobian_at;
 
 /// Mass properties of a link, in its DH frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -67,14 +68,14 @@ pub struct Masses<'a> {
 /// Torque of each joint (Nm) for the motion `q`, `qd` (rad/s), `qdd` (rad/s2). `gravity` (m/s2, base frame)
 /// is the acceleration an arm at rest feels: upwards.
 pub fn inverse_dynamics(
-    dh: &DhParameters,
+    chain: &Chain,
     masses: &Masses<'_>,
     q: &Joints,
     qd: &[f64; 6],
     qdd: &[f64; 6],
     gravity: &Vector3<f64>,
 ) -> [f64; 6] {
-    let frames = link_frames(dh, q);
+    let frames = chain.frames(q);
     let mut before = Isometry3::identity();
     let (mut spin, mut turn, mut acceleration) = (Vector3::zeros(), Vector3::zeros(), *gravity);
     let mut axes = [Vector3::zeros(); 6];
@@ -128,25 +129,26 @@ fn body_load(
 }
 
 /// The mass matrix, kg m2.
-pub fn mass_matrix(dh: &DhParameters, masses: &Masses<'_>, q: &Joints) -> Matrix6<f64> {
+pub fn mass_matrix(chain: &Chain, masses: &Masses<'_>, q: &Joints) -> Matrix6<f64> {
     let column = |i: usize| {
         let mut unit = [0.0; 6];
         unit[i] = 1.0;
-        Vector6::from(inverse_dynamics(dh, masses, q, &[0.0; 6], &unit, &Vector3::zeros()))
+        Vector6::from(inverse_dynamics(chain, masses, q, &[0.0; 6], &unit, &Vector3::zeros()))
     };
     Matrix6::from_columns(&[column(0), column(1), column(2), column(3), column(4), column(5)])
 }
 
 /// Torques that Coriolis and centrifugal forces take, Nm.
-pub fn velocity_torques(dh: &DhParameters, masses: &Masses<'_>, q: &Joints, qd: &[f64; 6]) -> [f64; 6] {
-    inverse_dynamics(dh, masses, q, qd, &[0.0; 6], &Vector3::zeros())
+pub fn velocity_torques(chain: &Chain, masses: &Masses<'_>, q: &Joints, qd: &[f64; 6]) -> [f64; 6] {
+    inverse_dynamics(chain, masses, q, qd, &[0.0; 6], &Vector3::zeros())
 }
 
 /// Jacobian of the TCP in the base frame: rows 0-2 linear (m), rows 3-5 angular.
-pub fn tool_jacobian(dh: &DhParameters, flange_from_tcp: &Isometry3<f64>, q: &Joints) -> Matrix6<f64> {
-    let flange = link_frames(dh, q)[5];
+pub fn tool_jacobian(chain: &Chain, flange_from_tcp: &Isometry3<f64>, q: &Joints) -> Matrix6<f64> {
+    let frames = chain.frames(q);
+    let flange = frames[5];
     let lever = flange.rotation * flange_from_tcp.translation.vector;
-    let mut matrix = jacobian(dh, q);
+    let mut matrix = jacobian_at(&frames);
     for mut column in matrix.column_iter_mut() {
         let linear = Vector3::new(column[3], column[4], column[5]).cross(&lever);
         (0..3).for_each(|row| column[row] += linear[row]);
@@ -156,7 +158,7 @@ pub fn tool_jacobian(dh: &DhParameters, flange_from_tcp: &Isometry3<f64>, q: &Jo
 
 /// How that Jacobian changes while the joints move at `qd` (rad/s), per second.
 pub fn tool_jacobian_derivative(
-    dh: &DhParameters,
+    chain: &Chain,
     flange_from_tcp: &Isometry3<f64>,
     q: &Joints,
     qd: &[f64; 6],
@@ -164,7 +166,7 @@ pub fn tool_jacobian_derivative(
     // Central difference: its error is below 1e-8 of the entries at this step.
     let step = 1e-5;
     let moved = |sign: f64| Joints(std::array::from_fn(|i| q.0[i] + sign * step * qd[i]));
-    (tool_jacobian(dh, flange_from_tcp, &moved(1.0)) - tool_jacobian(dh, flange_from_tcp, &moved(-1.0)))
+    (tool_jacobian(chain, flange_from_tcp, &moved(1.0)) - tool_jacobian(chain, flange_from_tcp, &moved(-1.0)))
         / (2.0 * step)
 }
 
@@ -172,16 +174,19 @@ pub fn tool_jacobian_derivative(
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use ur_arm::kinematics::forward;
+    use ur_arm::kinematics::DhParameters;
 
-    const DH: DhParameters = DhParameters::UR5E;
     const NO_PAYLOAD: Masses<'_> =
         Masses { links: &UR5E_LINKS, payload: Link { mass: 0.0, centre: [0.0; 3], inertia: [0.0; 6] } };
     const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, 9.82);
 
+    fn ur5e() -> Chain {
+        Chain::of(&DhParameters::UR5E)
+    }
+
     /// Height of all centres of mass, times mass and gravity, J.
     fn potential(masses: &Masses<'_>, q: &Joints) -> f64 {
-        let frames = link_frames(&DH, q);
+        let frames = ur5e().frames(q);
         let of = |link: &Link, frame: &Isometry3<f64>| {
             link.mass * GRAVITY.dot(&(frame * nalgebra::Point3::from(link.centre)).coords)
         };
@@ -195,7 +200,7 @@ mod tests {
         assert!((mass - 17.7).abs() < 1e-9, "{mass} kg without the base");
         let upright =
             Joints([0.0, -std::f64::consts::FRAC_PI_2, 0.0, -std::f64::consts::FRAC_PI_2, 0.0, 0.0]);
-        let torques = inverse_dynamics(&DH, &NO_PAYLOAD, &upright, &[0.0; 6], &[0.0; 6], &GRAVITY);
+        let torques = inverse_dynamics(&ur5e(), &NO_PAYLOAD, &upright, &[0.0; 6], &[0.0; 6], &GRAVITY);
         assert!(torques[0].abs() < 1e-9 && torques[1].abs() < 2.0, "{torques:?}");
     }
 
@@ -206,7 +211,7 @@ mod tests {
         ) {
             let payload = Link { mass, centre: [0.02, -0.01, 0.1], inertia: [0.0; 6] };
             let masses = Masses { payload, ..NO_PAYLOAD };
-            let torques = inverse_dynamics(&DH, &masses, &Joints(q), &[0.0; 6], &[0.0; 6], &GRAVITY);
+            let torques = inverse_dynamics(&ur5e(), &masses, &Joints(q), &[0.0; 6], &[0.0; 6], &GRAVITY);
             for i in 0..6 {
                 let moved = |step: f64| {
                     let mut q = q;
@@ -222,17 +227,17 @@ mod tests {
         fn the_mass_matrix_is_symmetric_positive_and_gives_the_kinetic_energys_rate(
             q in proptest::array::uniform6(-3.0..3.0), qd in proptest::array::uniform6(-2.0..2.0)
         ) {
-            let matrix = mass_matrix(&DH, &NO_PAYLOAD, &Joints(q));
+            let matrix = mass_matrix(&ur5e(), &NO_PAYLOAD, &Joints(q));
             prop_assert!((matrix - matrix.transpose()).norm() < 1e-12);
             prop_assert!(matrix.cholesky().is_some());
             // Power of the velocity torques is half of qd' dM/dt qd: no energy appears from nowhere.
             let speed = Vector6::from(qd);
             let at = |t: f64| {
                 let q = Joints(std::array::from_fn(|i| q[i] + qd[i] * t));
-                speed.dot(&(mass_matrix(&DH, &NO_PAYLOAD, &q) * speed))
+                speed.dot(&(mass_matrix(&ur5e(), &NO_PAYLOAD, &q) * speed))
             };
             let rate = (at(1e-5) - at(-1e-5)) / 2e-5 / 2.0;
-            let power = Vector6::from(velocity_torques(&DH, &NO_PAYLOAD, &Joints(q), &qd)).dot(&speed);
+            let power = Vector6::from(velocity_torques(&ur5e(), &NO_PAYLOAD, &Joints(q), &qd)).dot(&speed);
             prop_assert!((rate - power).abs() < 1e-6 * (1.0 + rate.abs()), "{rate} against {power}");
         }
 
@@ -243,12 +248,12 @@ mod tests {
             let tcp = Isometry3::new(Vector3::new(0.03, -0.02, 0.2), Vector3::new(0.1, 0.2, -0.3));
             let at = |t: f64| {
                 let q = Joints(std::array::from_fn(|i| q[i] + qd[i] * t));
-                (forward(&DH, &q) * tcp).translation.vector
+                (ur5e().forward(&q) * tcp).translation.vector
             };
             let slope = (at(1e-6) - at(-1e-6)) / 2e-6;
-            let speed = tool_jacobian(&DH, &tcp, &Joints(q)) * Vector6::from(qd);
+            let speed = tool_jacobian(&ur5e(), &tcp, &Joints(q)) * Vector6::from(qd);
             prop_assert!((slope - speed.fixed_rows::<3>(0)).norm() < 1e-7);
-            let rate = tool_jacobian_derivative(&DH, &tcp, &Joints(q), &qd) * Vector6::from(qd);
+            let rate = tool_jacobian_derivative(&ur5e(), &tcp, &Joints(q), &qd) * Vector6::from(qd);
             let bend = (at(1e-3) - 2.0 * at(0.0) + at(-1e-3)) / 1e-6;
             prop_assert!((bend - rate.fixed_rows::<3>(0)).norm() < 1e-4);
         }

@@ -32,8 +32,7 @@ pub mod tool_path;
 
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector6};
-use ur_arm::chain::Chain;
-use ur_arm::kinematics::{DhParameters, forward, jacobian_at, pose_error};
+use ur_arm::kinematics::{DhParameters, Kinematics, jacobian_at, pose_error};
 
 /// Length of a controller frame, s.
 pub const FRAME_SECONDS: f64 = 0.002;
@@ -47,8 +46,8 @@ const MOST_TURNS: f64 = 1000.0 * std::f64::consts::TAU;
 /// The arm as its controller knows it.
 #[derive(Clone, Debug)]
 pub struct Arm {
-    /// Calibrated parameters.
-    pub dh: DhParameters,
+    /// Calibrated kinematics.
+    pub kinematics: Kinematics,
     /// Tool centre point.
     pub flange_from_tcp: Isometry3<f64>,
     /// Joint range to either side, rad.
@@ -74,7 +73,7 @@ impl Arm {
     /// m/s is the usual safety configuration.
     pub fn of(joint_speed: [f64; 6], dh: DhParameters) -> Arm {
         Arm {
-            dh,
+            kinematics: Kinematics::of(&dh),
             flange_from_tcp: Isometry3::identity(),
             joint_range: std::f64::consts::TAU,
             endless: None,
@@ -86,7 +85,7 @@ impl Arm {
 
     /// `base_from_tcp` at joint positions `q`.
     pub fn tcp(&self, q: &Joints) -> Isometry3<f64> {
-        forward(&self.dh, q) * self.flange_from_tcp
+        self.kinematics.forward(q) * self.flange_from_tcp
     }
 
     /// The TCP at `q` after a small step in the base frame: m and a rotation vector in rad.
@@ -101,7 +100,7 @@ impl Arm {
     /// a frame's travel away. `None` at a singularity or out of reach.
     pub fn follow(&self, base_from_tcp: &Isometry3<f64>, near: &Joints) -> Option<Joints> {
         let target = base_from_tcp * self.flange_from_tcp.inverse();
-        let chain = Chain::of(&self.dh);
+        let chain = self.kinematics.chain();
         let mut q = *near;
         for _ in 0..8 {
             let frames = chain.frames(&q);

@@ -19,7 +19,7 @@ use crate::motion::{Arm, FRAME_SECONDS};
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Vector6};
 use std::collections::VecDeque;
-use ur_arm::kinematics::forward;
+use ur_arm::chain::Placed;
 
 /// Time in which speed scaling goes from 1 to 0, s: pause and slider.
 pub const SOFT_RAMP_SECONDS: f64 = 0.2;
@@ -76,8 +76,9 @@ pub struct Mover {
     /// The arm's geometry and limits.
     pub arm: Arm,
     q: Joints,
-    /// The flange there, in the base frame; computed where the joints change, as most frames leave them.
-    flange: Isometry3<f64>,
+    /// Links and bodies there, in the base frame; computed where the joints change, as most frames leave
+    /// them.
+    placed: Placed,
     qd: [f64; 6],
     qdd: [f64; 6],
     /// Joint speeds of the task alone, without the drift: what braking and speeding up start from.
@@ -115,7 +116,7 @@ impl Mover {
     /// An arm at rest at `q`.
     pub fn new(arm: Arm, q: Joints) -> Mover {
         Mover {
-            flange: forward(&arm.dh, &q),
+            placed: arm.kinematics.chain().placed(&q),
             arm,
             q,
             qd: [0.0; 6],
@@ -163,14 +164,19 @@ impl Mover {
         self.carried.as_ref().map_or_else(|| self.tcp(), |_| self.arm.tcp(&self.q))
     }
 
+    /// Links and bodies in the base frame.
+    pub fn placed(&self) -> &Placed {
+        &self.placed
+    }
+
     /// The flange in the base frame.
     pub fn flange(&self) -> Isometry3<f64> {
-        self.flange
+        self.placed.frames[5]
     }
 
     /// The TCP in the base frame.
     pub fn tcp(&self) -> Isometry3<f64> {
-        self.flange * self.arm.flange_from_tcp
+        self.flange() * self.arm.flange_from_tcp
     }
 
     /// Joint speeds over the last frame, rad/s.
@@ -223,7 +229,8 @@ impl Mover {
 
     /// Speed of the TCP in the base frame: m/s, rad/s.
     pub fn tcp_speed(&self) -> Vector6<f64> {
-        tool_jacobian(&self.arm.dh, &self.arm.flange_from_tcp, &self.q()) * Vector6::from(self.qd)
+        tool_jacobian(self.arm.kinematics.chain(), &self.arm.flange_from_tcp, &self.q())
+            * Vector6::from(self.qd)
     }
 
     /// True once the program may go on: the move has ended, or its blend begins with the next frame.
@@ -293,7 +300,7 @@ impl Mover {
     pub fn place(&mut self, q: Joints) {
         self.freeze();
         (self.q, self.drifted, self.tool_speed) = (q, [0.0; 6], None);
-        self.flange = forward(&self.arm.dh, &q);
+        self.placed = self.arm.kinematics.chain().placed(&q);
     }
 
     /// Time in which speed scaling goes from 1 to 0 from now on, s.

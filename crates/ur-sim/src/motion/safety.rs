@@ -7,11 +7,8 @@
 //! tool centre point where the configuration gives it a radius; what it holds is no body here. Planes hold
 //! the tool centre point, with that radius about it, and the elbow. Pure.
 
-use cell_values::units::Joints;
 use nalgebra::{Isometry3, Point3, Vector3};
 use ur_arm::bodies::{BODY_NAMES, Capsule, HARMLESS_PAIRS, capsules};
-use ur_arm::chain::Chain;
-use ur_arm::kinematics::DhParameters;
 
 /// Overlap of two capsules that is none of the links.
 const TOLERANCE_M: f64 = 0.02;
@@ -77,23 +74,21 @@ impl SafetyLimits {
         momentum.max(self.power.map_or(0.0, |most| power() / most))
     }
 
-    /// The deepest intrusion of an arm with this tool centre point.
+    /// The deepest intrusion of an arm whose bodies and tool centre point are there, in the base frame.
     pub fn intrusion(
         &self,
         model: &str,
-        dh: &DhParameters,
-        q: &Joints,
+        bodies: &[Isometry3<f64>; 6],
         tcp: &Vector3<f64>,
     ) -> Option<Intrusion> {
-        let frames = Chain::of(dh).placed(q).bodies;
         let about = self.tool_radius.unwrap_or(0.0);
-        let points = [("tool", *tcp, about), ("elbow", frames[1].translation.vector, 0.0)];
+        let points = [("tool", *tcp, about), ("elbow", bodies[1].translation.vector, 0.0)];
         let planes = points.iter().filter_map(|(name, point, about)| {
             let (number, depth) = self.beyond(point, *about)?;
             Some(Intrusion { depth, reason: format!("{name} beyond safety plane {number}"), joint: None })
         });
-        let tool = self.tool_radius.and_then(|radius| tool_against_arm(model, &frames, tcp, radius));
-        planes.chain(with_itself(model, &frames)).chain(tool).max_by(|a, b| a.depth.total_cmp(&b.depth))
+        let tool = self.tool_radius.and_then(|radius| tool_against_arm(model, bodies, tcp, radius));
+        planes.chain(with_itself(model, bodies)).chain(tool).max_by(|a, b| a.depth.total_cmp(&b.depth))
     }
 }
 
@@ -162,9 +157,9 @@ impl Ball {
     }
 }
 
-type Placed<'a> = (&'a [Capsule], &'a Isometry3<f64>);
+type LinkAt<'a> = (&'a [Capsule], &'a Isometry3<f64>);
 
-fn deepest((shapes, a): Placed<'_>, (others, b): Placed<'_>) -> f64 {
+fn deepest((shapes, a): LinkAt<'_>, (others, b): LinkAt<'_>) -> f64 {
     let placed =
         |capsule: &Capsule, at: &Isometry3<f64>| [capsule.a, capsule.b].map(|end| at * Point3::from(end));
     let mut deepest = f64::NEG_INFINITY;
@@ -195,13 +190,18 @@ fn distance([a, b]: &[Point3<f64>; 2], [c, d]: &[Point3<f64>; 2]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use cell_values::units::Joints;
     use proptest::prelude::*;
-    use ur_arm::kinematics::link_frames;
+    use ur_arm::chain::{Chain, Placed};
+    use ur_arm::kinematics::DhParameters;
+
+    fn placed(q: [f64; 6]) -> Placed {
+        Chain::of(&DhParameters::UR5E).placed(&Joints(q))
+    }
 
     fn intrusion(q: [f64; 6]) -> Option<Intrusion> {
-        let dh = DhParameters::UR5E;
-        let tcp = link_frames(&dh, &Joints(q))[5].translation.vector;
-        SafetyLimits::default().intrusion("UR5e", &dh, &Joints(q), &tcp)
+        let at = placed(q);
+        SafetyLimits::default().intrusion("UR5e", &at.bodies, &at.frames[5].translation.vector)
     }
 
     #[test]
@@ -217,8 +217,8 @@ mod tests {
         }
         let folded = intrusion([0.0, -half, 3.0, 0.0, 0.0, 0.0]).unwrap();
         assert!(folded.depth > 0.01 && folded.joint.is_some(), "{folded:?}");
-        let q = Joints([0.0, -half, 3.0, 0.0, 0.0, 0.0]);
-        let unknown = SafetyLimits::default().intrusion("UR99", &DhParameters::UR5E, &q, &Vector3::zeros());
+        let bodies = placed([0.0, -half, 3.0, 0.0, 0.0, 0.0]).bodies;
+        let unknown = SafetyLimits::default().intrusion("UR99", &bodies, &Vector3::zeros());
         assert_eq!(unknown, None, "its capsules are not published");
     }
 
@@ -230,19 +230,19 @@ mod tests {
         let (number, depth) = limits.beyond(&Vector3::new(0.3, 0.0, 0.04), 0.0).unwrap();
         assert!(number == 0 && (depth - 0.06).abs() < 1e-12);
         assert_eq!(limits.beyond(&Vector3::new(0.3, 0.0, 0.14), 0.05).map(|(number, _)| number), Some(0));
-        let dh = DhParameters::UR5E;
-        let found = limits.intrusion("UR5e", &dh, &Joints([0.0, 0.4, 0.0, 0.0, 0.0, 0.0]), &Vector3::z());
+        let bodies = placed([0.0, 0.4, 0.0, 0.0, 0.0, 0.0]).bodies;
+        let found = limits.intrusion("UR5e", &bodies, &Vector3::z());
         assert!(found.unwrap().reason.starts_with("elbow beyond safety plane 0"));
     }
 
     #[test]
     fn a_tool_with_a_radius_is_a_body() {
         // A tool that reaches back to the middle of the forearm.
-        let (dh, q) = (DhParameters::UR5E, Joints([0.0, -1.5, 1.5, -1.5, -1.57, 0.0]));
-        let tcp = (link_frames(&dh, &q)[2] * Point3::new(0.15, 0.0, 0.0066)).coords;
+        let at = placed([0.0, -1.5, 1.5, -1.5, -1.57, 0.0]);
+        let tcp = (at.frames[2] * Point3::new(0.15, 0.0, 0.0066)).coords;
         let with = |tool_radius| {
             let limits = SafetyLimits { tool_radius, ..SafetyLimits::default() };
-            limits.intrusion("UR5e", &dh, &q, &tcp)
+            limits.intrusion("UR5e", &at.bodies, &tcp)
         };
         assert_eq!(with(None), None);
         let found = with(Some(0.05)).unwrap();

@@ -277,7 +277,7 @@ async fn scripts_run_from_all_three_ports() {
     let Some(Package::RobotState(parts)) = bench.during(watcher.next()).await else {
         panic!("no robot state")
     };
-    let dh = bench.shared.controller().core.mover.arm.dh;
+    let dh = *bench.shared.controller().core.mover.arm.kinematics.dh();
     assert!(parts.iter().any(|part| matches!(part, SubPackage::Kinematics(data) if data.a == dh.a)));
     assert!(parts.iter().any(|part| matches!(part, SubPackage::Configuration(_))));
     for (name, address) in

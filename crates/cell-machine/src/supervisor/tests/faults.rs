@@ -455,7 +455,7 @@ fn a_release_is_answered_by_what_the_gripper_says() {
 #[test]
 fn a_cell_that_cannot_be_armed_says_so_to_every_order_about_motion() {
     let mut bench = Bench::new();
-    let mut dh = bench.cell.model().arm.dh;
+    let mut dh = *bench.cell.model().arm.kinematics.dh();
     dh.d[0] += 0.001;
     bench.feed(Input::Robot(RobotEvent::Kinematics { dh, checksum: [0; 6] }));
     for wanted in [Order::Arm, Order::Pause, Order::Step, Order::Park] {

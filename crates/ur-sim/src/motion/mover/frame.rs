@@ -9,7 +9,6 @@ use crate::motion::{Arm, FRAME_SECONDS, MotionFault};
 use cell_values::units::Joints;
 use nalgebra::Vector6;
 use std::collections::VecDeque;
-use ur_arm::kinematics::forward;
 
 impl Mover {
     /// One frame of `FRAME_SECONDS`; `scaling` is where the speed scaling should go (0: at rest).
@@ -30,11 +29,14 @@ impl Mover {
         match placed.and_then(|(next, actual)| self.check(&actual).map(|()| (next, actual))) {
             Ok((next, actual)) => {
                 let before = self.q();
-                let flange = if actual == before { self.flange } else { forward(&self.arm.dh, &actual) };
-                self.limit_tool_speed(&flange);
+                let placed = match actual == before {
+                    true => self.placed,
+                    false => self.arm.kinematics.chain().placed(&actual),
+                };
+                self.limit_tool_speed(&placed.frames[5]);
                 let qd: [f64; 6] = std::array::from_fn(|i| (actual.0[i] - before.0[i]) / FRAME_SECONDS);
                 self.qdd = std::array::from_fn(|i| (qd[i] - self.qd[i]) / FRAME_SECONDS);
-                (self.q, self.flange, self.qd) = (next, flange, qd);
+                (self.q, self.placed, self.qd) = (next, placed, qd);
                 if let Some(carried) = &mut self.carried {
                     carried.q = actual;
                 }

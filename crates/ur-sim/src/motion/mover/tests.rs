@@ -301,7 +301,7 @@ proptest! {
 
 #[test]
 fn the_flange_is_that_of_the_joints_wherever_they_are() {
-    let agrees = |mover: &Mover| assert_eq!(mover.flange(), forward(&mover.arm.dh, &mover.q));
+    let agrees = |mover: &Mover| assert_eq!(mover.flange(), mover.arm.kinematics.forward(&mover.q));
     let mut mover = mover();
     agrees(&mover);
     mover.place(Joints([0.3, -1.2, 1.4, -1.8, -1.5, 0.2]));

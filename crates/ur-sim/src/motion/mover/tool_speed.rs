@@ -34,14 +34,16 @@ impl Mover {
     /// Joint speeds (rad/s) scaled down so that the tool keeps its limit.
     pub(super) fn within_tool_speed(&self, speeds: [f64; 6]) -> [f64; 6] {
         let arm = &self.arm;
-        let tool = tool_jacobian(&arm.dh, &arm.flange_from_tcp, &self.q) * Vector6::from(speeds);
+        let tool =
+            tool_jacobian(arm.kinematics.chain(), &arm.flange_from_tcp, &self.q) * Vector6::from(speeds);
         let part = (arm.tool_speed / tool.fixed_rows::<3>(0).norm().max(1e-9)).min(1.0);
         speeds.map(|speed| speed * part)
     }
 
     /// The task's part of the tool's speed: m/s and rad/s in the base frame.
     pub(super) fn own_tool_speed(&self) -> Vector6<f64> {
-        tool_jacobian(&self.arm.dh, &self.arm.flange_from_tcp, &self.q) * Vector6::from(self.own)
+        tool_jacobian(self.arm.kinematics.chain(), &self.arm.flange_from_tcp, &self.q)
+            * Vector6::from(self.own)
     }
 
     /// What a commanded tool speed comes to now: the slider's share, within the tool's limit.

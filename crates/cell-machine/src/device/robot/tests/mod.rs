@@ -16,7 +16,7 @@ use cell_values::units::Joints;
 use fake::Fake;
 use nalgebra::Isometry3;
 use std::f64::consts::{FRAC_PI_2, TAU};
-use ur_arm::kinematics::DhParameters;
+use ur_arm::kinematics::{DhParameters, Kinematics};
 
 /// Session, controller and the wires between them.
 struct Rig {
@@ -195,7 +195,7 @@ const HOME: Joints = Joints([0.0, -FRAC_PI_2, FRAC_PI_2, -FRAC_PI_2, -FRAC_PI_2,
 
 fn model() -> ArmModel {
     ArmModel {
-        dh: DhParameters::UR5E,
+        kinematics: Kinematics::of(&DhParameters::UR5E),
         base_from_table: Isometry3::identity(),
         flange_from_tool: Isometry3::translation(0.0, 0.0, 0.1),
         home: HOME,
