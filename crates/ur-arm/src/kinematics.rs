@@ -42,15 +42,24 @@ const ANYWHERE: usize = 200;
 /// Elbow and wrist count as near their singularity below this sine.
 const SINGULAR: f64 = 0.25;
 
-/// How far a cosine of the closed form may be beyond 1 for its solution to be a start: the calibrated arm
-/// may just reach.
-const BEYOND: f64 = 0.02;
+/// What the closed form of the nominal arm is wanted for.
+#[derive(Clone, Copy)]
+struct Closed {
+    /// How far a cosine may be beyond 1.
+    beyond: f64,
+    /// Least angle of shoulder, elbow and wrist from where their two branches meet, rad.
+    apart: f64,
+}
 
-/// The same for the nominal arm itself: the rounding of its poses.
-const BEYOND_EXACT: f64 = 1e-6;
+/// Its own solutions: a cosine is beyond 1 by the rounding of the pose.
+const SOLUTIONS: Closed = Closed { beyond: 1e-6, apart: 0.0 };
 
-/// The same where no start has led to a solution: how near they are to the pose decides.
-const FAR_BEYOND: f64 = 1.0;
+/// Starts for a calibrated arm: it may just reach, and its branches meet elsewhere. A start between them
+/// would lead to one of the two only.
+const STARTS: Closed = Closed { beyond: 0.1, apart: 0.05 };
+
+/// Starts where those have led nowhere: how near they are to the pose decides.
+const FAR_STARTS: Closed = Closed { beyond: 1.0, apart: 0.0 };
 
 /// And what is then added to joint 1, rad.
 const AROUND: &[f64] = &[0.0, 0.02, -0.02, 0.1, -0.1, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0, 1.5, -1.5];
@@ -190,8 +199,8 @@ impl Kinematics {
 
     /// The closed form's solutions of a pose, and whether each is sure.
     fn starts(&self, base_from_flange: &Isometry3<f64>) -> Vec<(Joints, bool)> {
-        let beyond = if self.is_nominal() { BEYOND_EXACT } else { BEYOND };
-        inverse_nominal(&self.model.dh, base_from_flange, &[0.0], beyond)
+        let wanted = if self.is_nominal() { SOLUTIONS } else { STARTS };
+        inverse_nominal(&self.model.dh, base_from_flange, &[0.0], wanted)
     }
 
     /// The solution of this arm that a start of the closed form leads to.
@@ -200,7 +209,8 @@ impl Kinematics {
     }
 
     /// Solutions where two singularities meet: there the calibrated arm is elsewhere than the nominal one by
-    /// far more than the calibration itself. Few poses are like this, and most that are out of reach are not.
+    /// far more than the calibration itself. Few poses are like this, and most that are out of reach are
+    /// not.
     fn at_singularities(
         &self,
         base_from_flange: &Isometry3<f64>,
@@ -208,7 +218,7 @@ impl Kinematics {
     ) -> Vec<Joints> {
         let nominal = &self.model.dh;
         let at_boundary = !starts.is_empty();
-        let far = inverse_nominal(nominal, base_from_flange, AROUND, FAR_BEYOND);
+        let far = inverse_nominal(nominal, base_from_flange, AROUND, FAR_STARTS);
         let off = |q: &Joints| pose_error(&self.nominal.forward(q), base_from_flange).norm();
         let starts = starts.into_iter().chain(far).map(|(start, _)| (off(&start), start));
         let mut near: Vec<(f64, Joints)> = starts.filter(|(off, _)| *off < NEAR).collect();
@@ -299,14 +309,14 @@ fn wrap(angle: f64) -> f64 {
     if turned > PI { turned - TAU } else { turned }
 }
 
-/// The closed form for the nominal arm, and whether each solution is exact as it is; solutions out of reach
-/// by a cosine of `beyond` at most are clamped onto the boundary so that the refinement may still find them
-/// on the calibrated arm. `turns` are added to joint 1, rad: with others than 0 they are starts only.
+/// The closed form for the nominal arm, and whether each solution is exact as it is; solutions that are just
+/// out of reach are clamped onto the boundary so that the refinement may still find them on the calibrated
+/// arm. `turns` are added to joint 1, rad: with others than 0 they are starts only.
 fn inverse_nominal(
     dh: &DhParameters,
     base_from_flange: &Isometry3<f64>,
     turns: &[f64],
-    beyond: f64,
+    wanted: Closed,
 ) -> Vec<(Joints, bool)> {
     let mut out = Vec::with_capacity(8);
     let p = base_from_flange.translation.vector;
@@ -314,7 +324,7 @@ fn inverse_nominal(
     let [x6, y6, z6] = [0, 1, 2].map(|i| rotation.column(i).into_owned());
     let wrist = p - dh.d[5] * z6;
     let radius = wrist.x.hypot(wrist.y);
-    let Some((shoulder, sure)) = clamped_acos(dh.d[3] / radius, beyond) else { return out };
+    let Some((shoulder, known)) = clamped_acos(dh.d[3] / radius, wanted) else { return out };
     let both = [1.0, -1.0].map(|side| wrist.y.atan2(wrist.x) + side * shoulder + FRAC_PI_2);
     for q1 in both.into_iter().flat_map(|q1| turns.iter().map(move |turn| q1 + turn)) {
         let (s1, c1) = q1.sin_cos();
@@ -323,7 +333,9 @@ fn inverse_nominal(
         // How the flange is turned against it is joint 5, towards where joint 6. A cosine alone would be too
         // coarse where joint 5 is near its singularity.
         let [x, y, z] = [x6, y6, z6].map(|side| axis.dot(&side));
-        let bend = x.hypot(y).atan2(z);
+        let exact = x.hypot(y).atan2(z);
+        let bend = exact.clamp(wanted.apart, PI - wanted.apart);
+        let sure = known && bend == exact;
         for q5 in [bend, -bend] {
             let (s5, c5) = q5.sin_cos();
             let q6 = if bend.sin() < 1e-12 { 0.0 } else { (-y * s5.signum()).atan2(x * s5.signum()) };
@@ -336,7 +348,7 @@ fn inverse_nominal(
                 reach: [c1 * from_1.x + s1 * from_1.y, from_1.z],
                 angle: x4.z.atan2(c1 * x4.x + s1 * x4.y),
             };
-            planar_pair(dh, &wrist_1, ([q1, q5, q6], sure), beyond, &mut out);
+            planar_pair(dh, &wrist_1, ([q1, q5, q6], sure), wanted, &mut out);
         }
     }
     out
@@ -353,13 +365,13 @@ fn planar_pair(
     dh: &DhParameters,
     &Planar { reach: [x, y], angle }: &Planar,
     (known, sure): ([f64; 3], bool),
-    beyond: f64,
+    wanted: Closed,
     out: &mut Vec<(Joints, bool)>,
 ) {
     let [q1, q5, q6] = known;
     let (upper, fore) = (dh.a[1], dh.a[2]);
     let cosine = (x * x + y * y - upper * upper - fore * fore) / (2.0 * upper * fore);
-    let Some((elbow, exact)) = clamped_acos(cosine, beyond) else { return };
+    let Some((elbow, exact)) = clamped_acos(cosine, wanted) else { return };
     let (sin, cos) = elbow.sin_cos();
     let (towards, bent) = (y.atan2(x), (fore * sin).atan2(upper + fore * cos));
     for (q2, q3) in [(towards - bent, elbow), (towards + bent, -elbow)] {
@@ -368,10 +380,11 @@ fn planar_pair(
     }
 }
 
-/// acos that forgives so much beyond [-1, 1] (the calibrated arm may just reach) and refuses more, and NaN;
-/// and whether the cosine is far enough from 1 for the angle to be exact.
-fn clamped_acos(cosine: f64, beyond: f64) -> Option<(f64, bool)> {
-    (cosine.abs() <= 1.0 + beyond).then(|| (cosine.clamp(-1.0, 1.0).acos(), cosine.abs() < 1.0 - 1e-6))
+/// acos that forgives what is just beyond [-1, 1] and refuses more, and NaN; and whether the angle is exact.
+fn clamped_acos(cosine: f64, Closed { beyond, apart }: Closed) -> Option<(f64, bool)> {
+    let most = apart.cos();
+    let exact = cosine.abs() < most.min(1.0 - 1e-6);
+    (cosine.abs() <= 1.0 + beyond).then(|| (cosine.clamp(-most, most).acos(), exact))
 }
 
 /// Newton on the pose error; `None` when it does not converge (out of reach, or in a singularity).
