@@ -126,7 +126,7 @@ fn sweep(args: &SimulateArgs) -> u8 {
             return 2;
         }
     };
-    let as_written = args.seed == PAGE_SEED && args.brakes();
+    let as_written = args.seed == PAGE_SEED && args.is_usual();
     let expected = as_written.then(|| expected(PAGE));
     let bar = ProgressBar::new(chosen.len() as u64);
     let began = Instant::now();

@@ -15,8 +15,8 @@ pub struct Choice {
     pub seed: u64,
     /// How the cell sees.
     pub eye: SightKind,
-    /// How the network behaves.
-    pub weather: Weather,
+    /// How the network behaves; that of the stage unless given.
+    pub weather: Option<Weather>,
     /// Steps a plan may take.
     pub plan_work: u64,
     /// Keep the trace as text, not only its fingerprint.
@@ -28,7 +28,7 @@ pub struct Choice {
 impl Choice {
     /// Corners, a little weather.
     pub fn of(seed: u64) -> Choice {
-        let (eye, weather, plan_work) = (SightKind::Corners, Weather::LAN, PLAN_WORK);
+        let (eye, weather, plan_work) = (SightKind::Corners, None, PLAN_WORK);
         Choice { seed, eye, weather, plan_work, keep_trace: false, replay: false }
     }
 }

@@ -35,6 +35,7 @@ pub mod table;
 pub mod thin_arm;
 pub mod trace;
 pub mod work;
+pub mod worst;
 
 pub use adapter::Adapter;
 pub use choice::Choice;
@@ -80,6 +81,9 @@ pub enum PairError {
     /// Camera or detector.
     #[error("camera: {0}")]
     CameraView(String),
+    /// A fault that is there from the start.
+    #[error(transparent)]
+    Fault(#[from] FaultError),
 }
 
 /// How the daemon's process ends, for restarts.
@@ -144,8 +148,8 @@ impl Pair {
         let simulator = Simulator::new(stage.controller.clone(), stage.world.clone(), seed, Vec::new())?;
         let camera_view = CameraView::new(eye, &stage, seed).map_err(PairError::CameraView)?;
         let machine = Machine::new(stage.parameters.clone())?;
-        Ok(Pair {
-            network: Network::new(&simulator, seed, weather),
+        let mut pair = Pair {
+            network: Network::new(&simulator, seed, weather.unwrap_or(stage.weather)),
             mirror: replay.then(|| Mirror::new(seed, Timestamp::ZERO, &machine)),
             machine,
             simulator,
@@ -172,7 +176,9 @@ impl Pair {
             runs: 0,
             ended: None,
             round_over: None,
-        })
+        };
+        pair.stage.at_start.clone().into_iter().try_for_each(|planned| pair.fault(planned))?;
+        Ok(pair)
     }
 
     /// Puts something between machine and world.

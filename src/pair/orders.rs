@@ -22,6 +22,9 @@ use ur_sim::world::lock;
 /// Seed of the page.
 pub const ORDERS_SEED: u64 = 0;
 
+/// Jobs that are tried for a state that comes in every job, if nothing disturbs it.
+const TRIES: usize = 3;
+
 /// A state of the cell, and how it is reached; false where it is not.
 #[derive(Clone, Copy)]
 pub struct State {
@@ -333,14 +336,17 @@ fn submitted(pair: &mut Pair, stage: &Stage) -> bool {
     ready
 }
 
-/// A job under way, the arm on its way to an object before a look has shown it.
+/// A job under way, the arm on its way to an object before a look has shown it. A link that was silent for a
+/// moment has ended the job before; then a person arms again.
 fn sets_out(pair: &mut Pair, stage: &Stage) -> bool {
-    armed(pair);
-    submit(pair, stage, Approval::Never);
-    pair.run_until(120.0, |pair| {
-        // celld knows of the motion too.
-        let moves = pair.machine().robot_state().is_some_and(|robot| !robot.stands_still());
-        moves && pair.machine().supervisor().is_some_and(Supervisor::has_set_out)
+    (0..TRIES).any(|_| {
+        armed(pair);
+        submit(pair, stage, Approval::Never);
+        pair.run_until(120.0, |pair| {
+            // celld knows of the motion too.
+            let moves = pair.machine().robot_state().is_some_and(|robot| !robot.stands_still());
+            moves && pair.machine().supervisor().is_some_and(Supervisor::has_set_out)
+        })
     })
 }
 

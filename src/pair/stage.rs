@@ -8,6 +8,7 @@
 
 use crate::config::cell::CellConfig;
 use crate::config::setup::{Measured, SetupError, cell_model, scene};
+use crate::pair::network::Weather;
 use crate::perception::Scene;
 use cell_calibration::files::hand_eye::Mount;
 use cell_machine::machine::MachineParameters;
@@ -20,6 +21,7 @@ use rearrange::document::chain::chain;
 use ur_sim::camera::CameraSetup;
 use ur_sim::cell::SimConfig;
 use ur_sim::controller::ControllerConfig;
+use ur_sim::faults::Planned;
 use ur_sim::world::spec::{CameraMount, WorldSpec};
 
 /// What a calibration leaves, at most along and about each axis: m and rad.
@@ -40,6 +42,10 @@ pub struct Stage {
     pub scene: Scene,
     /// The camera measures depth.
     pub depth: bool,
+    /// How the network behaves, unless the run chooses another.
+    pub weather: Weather,
+    /// Faults that are there from the start.
+    pub at_start: Vec<Planned>,
     /// Parameters of the machine.
     pub parameters: MachineParameters,
 }
@@ -82,7 +88,8 @@ impl Stage {
         let scene = scene(config, &measured).map_err(|error| chain(&error))?;
         let SimConfig { controller, world, camera, .. } = sim;
         let depth = config.devices.camera.measures_depth();
-        Ok(Stage { controller, world, camera, model, scene, depth, parameters })
+        let (weather, at_start) = (Weather::LAN, Vec::new());
+        Ok(Stage { controller, world, camera, model, scene, depth, weather, at_start, parameters })
     }
 }
 

@@ -349,17 +349,19 @@ pub(super) fn after(pair: &mut Pair, stage: &Stage, seed: u64) -> Option<Code> {
 }
 
 /// A person arms; where the answer says that something may hang on the cups, the person looks, says that it
-/// does not, and arms again.
+/// does not, and arms again. After another refusal (a link that was silent just then) the person tries once
+/// more.
 fn arm_as_the_answer_says(pair: &mut Pair) {
     pair.take_replies();
     let number = pair.order(Order::Arm);
     pair.run_until(0.5, |_| false);
-    let refused = |(of, reply): &(u64, Reply)| *of == number && reply.message.contains("celld release --yes");
-    if pair.take_replies().iter().any(refused) {
+    let refused = pair.take_replies().into_iter().find(|(of, reply)| *of == number && !reply.accepted);
+    let Some((_, reply)) = refused else { return };
+    if reply.message.contains("celld release --yes") {
         pair.order(Order::Release(cell_machine::device::gripper_types::Channels::Both));
         pair.run_until(4.0, |_| false);
-        pair.order(Order::Arm);
     }
+    pair.order(Order::Arm);
 }
 
 /// What a person does at the pendant after a stop.

@@ -17,10 +17,12 @@ use celld::pair::storm::{storm, strikes};
 use celld::pair::sweep::{case, cases, judge};
 use celld::pair::table::stage;
 use celld::pair::work::job;
+use celld::pair::worst::worst;
 use celld::pair::{Choice, Pair};
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 use rearrange::document::chain::chain;
 use rearrange::geometry::pose::Pose2;
+use std::collections::BTreeMap;
 use ur_sim::faults::read::read_posted;
 use ur_sim::motion::rounding::{BlendConfig, EntrySpeed};
 
@@ -55,6 +57,21 @@ fn no_rule_is_broken_at_any_blend_speed() {
         assert!(braked != kept && kept != raised && raised != braked, "seed {seed}");
         assert_eq!(kept, scaled, "seed {seed}: no speed that is kept has to be lowered");
     }
+}
+
+/// `celld simulate --controller worst`; `--faults sweep`, `--orders` and `--faults random` run with it too.
+#[test]
+fn no_rule_is_broken_by_the_worst_controller() {
+    let mut ends = BTreeMap::<String, usize>::new();
+    for seed in 0..3 {
+        let mut stage = stage(seed, SightKind::Corners).unwrap();
+        worst(&mut stage, seed).unwrap();
+        let (summary, _) = run_jobs(&stage, Choice::of(seed), 2, &[], &mut |_| {}).unwrap();
+        assert!(summary.is_clean() && summary.jobs == 2, "seed {seed}: {summary:?}");
+        summary.ends.into_iter().for_each(|(code, count)| *ends.entry(code).or_default() += count);
+    }
+    let [done, silent] = ["done", "link_silent"].map(|code| ends.remove(code).unwrap_or(0));
+    assert!(done >= 3 && ends.is_empty(), "beside {done} done, {silent} by a link that was silent: {ends:?}");
 }
 
 #[test]

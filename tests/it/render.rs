@@ -67,6 +67,7 @@ fn the_simulated_lens_agrees_with_opencv() {
 fn gripper() -> GripperSpec {
     GripperSpec {
         drive: Drive::Vgc10,
+        overshoot: 0.0,
         clients: BoxConfig::default(),
         flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
         cups: vec![Cup { channel: Channel::A, x_m: 0.0, y_m: 0.0, diameter_m: 0.02 }],

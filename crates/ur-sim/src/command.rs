@@ -395,6 +395,7 @@ fn gripper_spec(file: &SimFile) -> spec::GripperSpec {
     spec::GripperSpec {
         drive: file.drive,
         clients: file.compute_box,
+        overshoot: 0.0,
         flange_from_tool: file.flange_from_tool,
         cups: cups.collect(),
         // A body that cannot be drawn is no reason to stop: it only hides part of a picture.

@@ -4,6 +4,7 @@ use crate::pair::Pair;
 use crate::pair::camera_view::SightKind;
 use crate::pair::stage::Stage;
 use crate::pair::table::stage;
+use crate::pair::worst::worst;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
@@ -51,6 +52,11 @@ pub struct SimulateArgs {
     /// braked only the rules are checked, not the pages in docs/
     #[arg(long, value_name = "SPEED", value_parser = entry_speeds(), default_value = "braked")]
     pub(super) blend: EntrySpeed,
+    /// How controller, gripper and network behave: as usual, or as badly as is still plausible (gaps of 100
+    /// ms, slow answers, claimed registers, any blend speed, an overshooting pump, ...; see
+    /// `src/pair/worst.rs`). With `worst` only the rules are checked, not the pages in docs/
+    #[arg(long, value_enum, default_value_t = ControllerArg::Usual, conflicts_with = "blend")]
+    pub(super) controller: ControllerArg,
     /// Write what happened, line by line, to this file; the same seed writes the same bytes
     #[arg(long, value_name = "FILE")]
     pub(super) trace: Option<PathBuf>,
@@ -60,6 +66,15 @@ const HELP: &str = "\
 The machine that drives a real robot, the simulated cell, a network and a disk run on one thread
 without socket, file or clock: the same seed gives the same trace, byte for byte. After every 2 ms
 of simulated time the rules that hold at all times are checked against the simulated truth.";
+
+/// How controller, gripper and network behave.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ControllerArg {
+    /// As usual.
+    Usual,
+    /// As badly as is still plausible.
+    Worst,
+}
 
 /// How the cell sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -81,19 +96,27 @@ impl SimulateArgs {
     /// The closed loop's cell with this seed.
     pub(super) fn stage(&self, seed: u64, eye: SightKind) -> Result<Stage, String> {
         let mut stage = stage(seed, eye)?;
-        stage.controller.blends = BlendConfig { entry_speed: self.blend, seed };
+        match self.controller {
+            ControllerArg::Usual => {
+                stage.controller.blends = BlendConfig { entry_speed: self.blend, seed };
+            }
+            ControllerArg::Worst => worst(&mut stage, seed)?,
+        }
         Ok(stage)
     }
 
-    /// The arm is that of the pages in docs/.
-    pub(super) fn brakes(&self) -> bool {
-        self.blend == EntrySpeed::Braked
+    /// Arm and controller are those of the pages in docs/.
+    pub(super) fn is_usual(&self) -> bool {
+        self.blend == EntrySpeed::Braked && self.controller == ControllerArg::Usual
     }
 
     /// What the command that repeats a failure needs besides, after a blank.
     pub(super) fn repeat_arguments(&self) -> String {
+        if self.controller == ControllerArg::Worst {
+            return " --controller worst".to_string();
+        }
         let name = ENTRY_SPEEDS.iter().find(|(_, speed)| *speed == self.blend).map(|(name, _)| *name);
-        name.filter(|_| !self.brakes()).map(|name| format!(" --blend {name}")).unwrap_or_default()
+        name.filter(|_| !self.is_usual()).map(|name| format!(" --blend {name}")).unwrap_or_default()
     }
 }
 
@@ -107,6 +130,7 @@ pub(super) fn keep_trace(args: &SimulateArgs, pair: &Pair) -> Result<(), String>
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pair::network::Weather;
     use clap::Parser;
 
     #[derive(Parser)]
@@ -132,6 +156,10 @@ mod tests {
             let words: Vec<&str> = repeated.split_whitespace().collect();
             assert_eq!(read(&words).expect(word).blend, *entry_speed);
         }
+        let worst = read(&["--controller", "worst"]).expect("worst");
+        let stage = worst.stage(7, SightKind::Corners).expect("the worst cell");
+        assert!(stage.weather == Weather::WORST && stage.world.gripper.overshoot > 0.0);
+        assert_eq!(worst.repeat_arguments(), " --controller worst");
         assert!(read(&["--blend", "quick"]).unwrap_err().contains("braked, kept, scaled, raised"));
     }
 }

@@ -46,7 +46,7 @@ pub(super) fn run(args: &SimulateArgs) -> u8 {
         let title = title(state, given);
         let mut faults = judge(given, found);
         let now = line(given, found);
-        if args.brakes() && page.get(&title) != Some(&now) {
+        if args.is_usual() && page.get(&title) != Some(&now) {
             let page = page.get(&title).map_or("nothing", String::as_str);
             faults.push(format!("found    {now}\n    expected {page}"));
         }

@@ -39,8 +39,8 @@ pub fn after(cell: fn(&mut Stage), plant: Option<fn() -> Plant>, drill: fn(&mut 
     // Long enough not to be found in bytes that mean something else.
     stage.parameters.nonce_seed = 1_234_567_890;
     cell(&mut stage);
-    let weather = Weather { late: 0.0, split: 0.0 };
-    let choice = Choice { weather, replay: true, ..Choice::of(SEED) };
+    let weather = Weather { late: 0.0, split: 0.0, ..Weather::LAN };
+    let choice = Choice { weather: Some(weather), replay: true, ..Choice::of(SEED) };
     let mut pair = Pair::new(stage.clone(), choice).expect("the drill runs");
     if let Some(plant) = plant {
         pair.adapt(Box::new(plant()));

@@ -64,6 +64,8 @@ pub struct ControllerConfig {
     pub encoders: [f64; 2],
     /// Belts in the table that these encoders count.
     pub belts: Vec<TableBelt>,
+    /// From the upload of a program to its start, s.
+    pub loads_for_s: f64,
     /// Seed of `random()`.
     pub seed: u64,
     /// Programs that `load` finds.
@@ -95,6 +97,7 @@ impl ControllerConfig {
             payload_centre: [0.0; 3],
             encoders: [0.0; 2],
             belts: Vec::new(),
+            loads_for_s: 0.0,
             seed,
             programs: ProgramFiles::default(),
         }

@@ -106,7 +106,7 @@ pub struct Controller {
 impl Controller {
     /// A controller just booted.
     pub fn new(config: ControllerConfig) -> Controller {
-        let programs = Programs::new(config.seed);
+        let programs = Programs::new(config.seed, config.loads_for_s);
         let mut controller = Controller { core: Core::new(config), programs };
         if controller.core.config.is_polyscope_x() {
             controller.open_default_program();

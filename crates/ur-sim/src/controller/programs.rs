@@ -13,6 +13,7 @@ use crate::controller::interpreter_mode::Interpreter;
 use crate::controller::pendant::LoadError;
 use crate::controller::program_files::{ProgramSource, bare_name};
 use crate::controller::watchdog::WatchdogAction;
+use crate::motion::FRAME_SECONDS;
 use crate::motion::path_offset::OffsetWish;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -72,16 +73,21 @@ pub struct Programs {
     joined: Option<Joined>,
     seed: u64,
     starts: u64,
+    /// Frames from an upload to its start, and how many of them are over.
+    loads_for: u64,
+    loading: u64,
     /// A fault: uploads do not start.
     deaf: bool,
 }
 
 impl Programs {
     /// Nothing loaded.
-    pub fn new(seed: u64) -> Programs {
+    pub fn new(seed: u64, loads_for_s: f64) -> Programs {
         let (run, uploads) = (Run::Stopped, VecDeque::new());
         let (loaded, last, joined) = (None, None, None);
-        Programs { run, uploads, loaded, last, is_loaded: false, joined, seed, starts: 0, deaf: false }
+        let loads_for = (loads_for_s / FRAME_SECONDS).round() as u64;
+        let (is_loaded, starts, loading, deaf) = (false, 0, 0, false);
+        Programs { run, uploads, loaded, last, is_loaded, joined, seed, starts, loads_for, loading, deaf }
     }
 
     /// Loads a program for `play`, as from the controller's files; one that runs ends.
@@ -269,7 +275,10 @@ impl Programs {
 
     /// One frame: starts what was uploaded, then steps the main program.
     pub fn run(&mut self, core: &mut Core) {
-        while let Some(upload) = self.uploads.pop_front() {
+        self.loading = if self.uploads.is_empty() { 0 } else { self.loading + 1 };
+        while self.loading > self.loads_for
+            && let Some(upload) = self.uploads.pop_front()
+        {
             match upload {
                 Ok(code) if code.kind == FunctionKind::Sec => self.run_secondary(code, core),
                 Ok(code) => self.replace(code, core),

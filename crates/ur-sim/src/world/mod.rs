@@ -170,9 +170,15 @@ struct ChannelState {
 }
 
 impl ChannelState {
-    fn new() -> ChannelState {
+    fn new(overshoot: f64) -> ChannelState {
         let faults = ChannelFaults::default();
-        ChannelState { pump: Pump::new(), sealed: false, holds: None, faults, leak_age_s: 0.0 }
+        ChannelState {
+            pump: Pump::overshooting(overshoot),
+            sealed: false,
+            holds: None,
+            faults,
+            leak_age_s: 0.0,
+        }
     }
 }
 
@@ -265,9 +271,9 @@ impl World {
                 Drive::Fingers(fingers) => Some(Fingers::new(fingers)),
                 Drive::Vgc10 | Drive::Vgc10OnTool | Drive::Ejector(_) => None,
             },
+            channels: [spec.gripper.overshoot; 2].map(ChannelState::new),
             gripper: spec.gripper,
             bodies,
-            channels: [ChannelState::new(), ChannelState::new()],
             current_limit_ma: vacuum::FULL_SPEED_MA,
             rng: ChaCha8Rng::seed_from_u64(seed),
             seed,

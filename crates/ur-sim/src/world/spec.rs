@@ -146,6 +146,8 @@ pub struct GripperSpec {
     pub drive: Drive,
     /// How its box treats clients, if it has one.
     pub clients: BoxConfig,
+    /// How far its pumps pull beyond their target at first, share of the target.
+    pub overshoot: f64,
     /// Tool frame (centre of the cup lips or between the fingertips, z out of the gripper) in the flange
     /// frame.
     pub flange_from_tool: Isometry3<f64>,
@@ -164,6 +166,7 @@ impl GripperSpec {
         GripperSpec {
             drive: Drive::Vgc10,
             clients: BoxConfig::default(),
+            overshoot: 0.0,
             flange_from_tool: Isometry3::translation(0.0, 0.0, length_m),
             cups: vec![Cup { channel: Channel::A, x_m: 0.0, y_m: 0.0, diameter_m: 0.02 }],
             body: Footprint::Rectangle { length: 0.05, width: 0.05 },

@@ -17,6 +17,7 @@ pub(super) fn gripper() -> GripperSpec {
     GripperSpec {
         drive: Drive::Vgc10,
         clients: BoxConfig::default(),
+        overshoot: 0.0,
         flange_from_tool: Isometry3::translation(0.0, 0.0, 0.2),
         cups: vec![Cup { channel: Channel::A, x_m: 0.0, y_m: 0.0, diameter_m: CUP }],
         body: Footprint::rectangle(0.07, 0.07).unwrap(),

@@ -1,0 +1,50 @@
+//! The worst controller, gripper and network that are still plausible.
+//!
+//! In: a stage, a seed. Out: the same stage with all of it at once: late packets and gaps of 100 ms, slow
+//! answers of the dashboard, registers that another client holds at first, a program that takes 2 s to load,
+//! blends at any speed, joints that are noisy at rest, a pump that overshoots, a box that turns the second
+//! client away or lets it evict the first, and keeps a half-open place. What each does is drawn by the seed.
+//! Nobody measured most of it.
+
+use crate::pair::network::Weather;
+use crate::pair::stage::Stage;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use ur_sim::compute_box::{BoxConfig, SecondClient};
+use ur_sim::faults::read::read_posted;
+use ur_sim::motion::rest::{RestConfig, Stop};
+use ur_sim::motion::rounding::{BlendConfig, ENTRY_SPEEDS};
+
+/// Speeds at rest of an e-Series arm in recordings, rad/s, and encoders, rad.
+const SPEED_NOISE: f64 = 3e-4;
+const POSITION_NOISE: f64 = 1e-5;
+
+/// A program of this size compiles on the controller first, s.
+const LOADS_FOR_S: f64 = 2.0;
+
+/// A pump that lets a tenth of its peak go is in field reports: so much beyond the target.
+const OVERSHOOT: f64 = 0.11;
+
+/// A crashed client's registers are free again after some seconds.
+const CLAIMED: &str = r#"{"do": "ur.claim", "args": {"input": "input_int_register_24", "seconds": 8}}"#;
+
+/// Makes controller, gripper and network as bad as they may be.
+///
+/// # Errors
+/// The faults at the start are not in the catalogue.
+pub fn worst(stage: &mut Stage, seed: u64) -> Result<(), String> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x776f_7273_74);
+    let (_, entry_speed) = ENTRY_SPEEDS[rng.random_range(0..ENTRY_SPEEDS.len())];
+    stage.controller.blends = BlendConfig { entry_speed, seed };
+    stage.controller.rest =
+        RestConfig { stop: Stop::Creeping, speed_noise: SPEED_NOISE, position_noise: POSITION_NOISE };
+    stage.controller.loads_for_s = LOADS_FOR_S;
+    let second = if rng.random_bool(0.5) { SecondClient::Refused } else { SecondClient::Evicts };
+    stage.world.gripper.clients = BoxConfig { second, half_open_s: rng.random_range(0.0..20.0) };
+    stage.world.gripper.overshoot = OVERSHOOT;
+    stage.weather = Weather::WORST;
+    if rng.random_bool(0.5) {
+        stage.at_start = read_posted(CLAIMED).map_err(|complaints| complaints.to_string())?;
+    }
+    Ok(())
+}
