@@ -131,6 +131,10 @@ impl Supervisor {
             self.phase = self.after_bring_up();
             return;
         }
+        if !bring_up.goes_on(robot.robot_mode) {
+            // A person has switched the arm off: arming lapses, and no power is switched on again.
+            return;
+        }
         match robot.robot_mode {
             RobotMode::PowerOff if bring_up.requested != Some(RobotMode::PowerOff) => {
                 bring_up.requested = Some(RobotMode::PowerOff);

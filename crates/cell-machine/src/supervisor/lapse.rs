@@ -74,7 +74,7 @@ impl Supervisor {
         if robot.guided || robot.robot_mode == RobotMode::Backdrive {
             return Some("the arm is guided by hand".to_string());
         }
-        let starts = matches!(self.phase, Phase::BringUp(_));
+        let starts = matches!(&self.phase, Phase::BringUp(way_up) if !way_up.fell_back(robot.robot_mode));
         if robot.robot_mode != RobotMode::Running && !starts {
             let mode = mode_words(robot.robot_mode);
             return Some(format!("power or brakes were switched, and not by celld: {mode}"));

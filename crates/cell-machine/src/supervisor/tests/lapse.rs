@@ -5,6 +5,7 @@ use super::faults::{said, working};
 use super::*;
 use crate::device::robot_types::{KnownRobot, RobotIdentity};
 use crate::supervisor::lapse::MOVED_RAD;
+use crate::supervisor::phase::Phase;
 
 /// What happens, and a word of the sentence about it.
 type Cause = (&'static str, fn(&mut Bench));
@@ -98,6 +99,30 @@ fn an_arm_that_is_off_while_a_plan_waits_is_powered_at_the_order_to_arm() {
     let approved = bench.feed(Input::Order { number: 2, order: bench.approval() });
     let reply = answer(&approved).expect("an answer");
     assert!(reply.accepted, "the plan has waited on: {}", reply.message);
+}
+
+#[test]
+fn an_arm_that_a_person_switches_off_while_it_is_started_is_not_powered_again() {
+    for (from, to) in [
+        (RobotMode::Running, RobotMode::PowerOff),
+        (RobotMode::Running, RobotMode::Idle),
+        (RobotMode::Idle, RobotMode::PowerOff),
+    ] {
+        let mut bench = Bench::new();
+        bench.robot.robot_mode = from;
+        bench.job(false);
+        bench.feed(order(Order::Arm));
+        bench.ticks(3);
+        assert!(bench.cell.status().armed && matches!(bench.cell.phase, Phase::BringUp(_)), "{from:?}");
+        bench.robot.robot_mode = to;
+        let after = bench.ticks(200);
+        let powers = |action: &Action| {
+            matches!(action, Action::Robot(RobotCommand::PowerOn | RobotCommand::ReleaseBrakes))
+        };
+        assert!(!after.iter().any(powers), "{from:?} to {to:?}: {after:?}");
+        assert!(!bench.cell.status().armed, "{from:?} to {to:?}");
+        assert!(bench.cell.status().job.is_some(), "the job waits for a person");
+    }
 }
 
 #[test]
