@@ -327,7 +327,7 @@ impl Reply {
     /// Reads the reply line to `command`.
     ///
     /// # Errors
-    /// A mode or a yes/no that is not one: never guessed.
+    /// A mode, a yes/no, a serial number, a model or a version that is none: never guessed.
     pub fn parse(command: &Command, line: &str) -> Result<Reply, WireError> {
         let line = line.trim();
         if starts_with(line, NOT_ALLOWED) {
@@ -345,6 +345,10 @@ impl Reply {
                 mode(line, "Safetystatus:", SafetyMode::from_name).map(Reply::SafetyMode)
             }
             Command::ProgramState => program_state(line),
+            // They say which robot it is: what cannot be an answer is no other robot.
+            Command::GetSerialNumber => text(line, "a serial number", is_serial),
+            Command::GetRobotModel => text(line, "a model", is_model),
+            Command::PolyscopeVersion | Command::Version => text(line, "a software version", is_version),
             other => Ok(match other.acceptance() {
                 None => Reply::Text(line.to_string()),
                 Some(sentence) if starts_with(line, sentence) => Reply::Accepted(line.to_string()),
@@ -395,6 +399,27 @@ fn flag(text: Option<&str>) -> Result<Reply, WireError> {
 
 fn mode<T>(line: &str, prefix: &str, from_name: fn(&str) -> Option<T>) -> Result<T, WireError> {
     strip(line, prefix).and_then(from_name).ok_or_else(|| unexpected("reply", line, "the name of a mode"))
+}
+
+fn text(line: &str, expected: &'static str, is_one: fn(&str) -> bool) -> Result<Reply, WireError> {
+    let printable = !line.is_empty() && line.chars().all(|c| c.is_ascii_graphic() || c == ' ');
+    match printable && is_one(line) {
+        true => Ok(Reply::Text(line.to_string())),
+        false => Err(unexpected("reply", line, expected)),
+    }
+}
+
+fn is_serial(line: &str) -> bool {
+    line.chars().all(|c| c.is_ascii_alphanumeric() || c == '-' || c == '_')
+}
+
+/// The answer to another question is none.
+fn is_model(line: &str) -> bool {
+    !starts_with(line, "URSoftware")
+}
+
+fn is_version(line: &str) -> bool {
+    line.contains(|c: char| c.is_ascii_digit())
 }
 
 fn program_state(line: &str) -> Result<Reply, WireError> {
@@ -469,6 +494,22 @@ mod tests {
         assert!(Reply::parse(&Command::IsInRemoteControl, "maybe").is_err());
         assert!(Reply::parse(&Command::ProgramState, "DANCING x").is_err());
         assert!(Reply::parse(&Command::RobotMode, "").is_err());
+    }
+
+    #[test]
+    fn garbage_and_the_answer_to_another_question_are_no_identity() {
+        let version = "URSoftware 5.11.0.1031110 (Sep 30 2020)";
+        for (command, good, bad) in [
+            (Command::GetSerialNumber, "20235500001", version),
+            (Command::GetSerialNumber, "20-ab_1", "\u{fffd}7\u{fffd}y"),
+            (Command::GetRobotModel, "UR5", version),
+            (Command::GetRobotModel, "UR16 e", "']y\u{1}"),
+            (Command::PolyscopeVersion, version, "UR"),
+            (Command::Version, "5.11", ""),
+        ] {
+            assert_eq!(Reply::parse(&command, good), Ok(Reply::Text(good.into())));
+            assert!(Reply::parse(&command, bad).is_err(), "{bad:?} to {command:?}");
+        }
     }
 
     #[test]
