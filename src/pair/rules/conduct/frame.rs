@@ -132,12 +132,18 @@ impl Conduct {
 
     /// No stop has reached the program: celld or its link was gone before there was a reason for one.
     fn unreached(&self) -> bool {
-        // A link that has just come back has not brought the stop yet.
-        let just_back = self.back_at.is_some_and(|back| self.frame <= back + ON_ITS_WAY_FRAMES);
-        let last = if just_back { self.silent_since } else { self.last_state };
-        let reachable = self.stopped_at.is_some_and(|at| at < last);
-        ((self.silent() || just_back) && !reachable)
+        let reachable = self.stopped_at.is_some_and(|at| at < self.state_before_silence());
+        ((self.silent() || self.just_back()) && !reachable)
             || self.restarted_at.is_some_and(|at| self.armed_at.is_none_or(|armed| armed <= at))
+    }
+
+    /// A link that has just come back has not brought the stop yet.
+    fn just_back(&self) -> bool {
+        self.back_at.is_some_and(|back| self.frame <= back + ON_ITS_WAY_FRAMES)
+    }
+
+    fn state_before_silence(&self) -> u64 {
+        if self.just_back() { self.silent_since } else { self.last_state }
     }
 
     /// A person has pressed play on a program that no stop could reach: it moves until its own watchdog
@@ -187,8 +193,10 @@ impl Conduct {
     /// The arm begins to move.
     fn check_begin(&mut self, machine: &Machine, nonce: i32) {
         let restarted = self.restarted_at.is_some_and(|at| self.frame <= at + WATCHDOG_FRAMES);
-        // What was streamed before celld was gone goes on until the program's watchdog ends it.
-        if self.played_unreached() || restarted {
+        let cut_off = self.unreached() && self.frame <= self.state_before_silence() + WATCHDOG_FRAMES;
+        // What was streamed before celld or its link was gone goes on, over a stop in a corner too, until
+        // the program's watchdog ends it.
+        if self.played_unreached() || restarted || cut_off {
             return;
         }
         let Some(supervisor) = machine.supervisor() else {
