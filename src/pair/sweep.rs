@@ -19,7 +19,7 @@ use crate::pair::{Adapter, Choice, Loss, Pair};
 use cell_machine::code::Code;
 use cell_machine::event::{Effect, Event};
 use cell_machine::machine::Machine;
-use cell_machine::orders::{Approval, Order, Reply};
+use cell_machine::orders::{Approval, Order};
 use cell_machine::supervisor::gates::GateClosed;
 use cell_machine::supervisor::input::PlanAnswer;
 use cell_machine::supervisor::order::JobOrder;

@@ -48,10 +48,11 @@ pub struct SimulateArgs {
     /// How the cell sees: rendered pictures with the real detector, or marker corners with its noise
     #[arg(long, value_enum, default_value_t = SightArg::Corners)]
     pub(super) eye: SightArg,
-    /// At which speed the simulated arm passes blends; see `blend:` in config/sim.yaml. In all but
-    /// braked only the rules are checked, not the pages in docs/
-    #[arg(long, value_name = "SPEED", value_parser = entry_speeds(), default_value = "braked")]
-    pub(super) blend: EntrySpeed,
+    /// At which speed the simulated arm passes blends (see `blend:` in config/sim.yaml), or `none`: celld's
+    /// paths have no blends (`blend_m: 0`). In all but braked only the rules are checked, not the pages in
+    /// docs/
+    #[arg(long, value_name = "SPEED", value_parser = blends(), default_value = "braked")]
+    pub(super) blend: Blend,
     /// How controller, gripper and network behave: as usual, or as badly as is still plausible (gaps of 100
     /// ms, slow answers, claimed registers, any blend speed, an overshooting pump, ...; see
     /// `src/pair/worst.rs`). With `worst` only the rules are checked, not the pages in docs/
@@ -85,11 +86,17 @@ pub enum SightArg {
     Corners,
 }
 
+/// Blends in celld's paths, and the speed at which the simulated arm passes them; `None`: no blends.
+pub(super) type Blend = Option<EntrySpeed>;
+
+/// How paths without blends are named.
+const NO_BLENDS: &str = "none";
+
 /// The speeds by their names.
-fn entry_speeds() -> impl TypedValueParser<Value = EntrySpeed> {
-    let names = ENTRY_SPEEDS.iter().map(|(name, _)| *name);
+fn blends() -> impl TypedValueParser<Value = Blend> {
+    let names = ENTRY_SPEEDS.iter().map(|(name, _)| *name).chain([NO_BLENDS]);
     let known = |name: String| ENTRY_SPEEDS.iter().find(|(known, _)| *known == name);
-    PossibleValuesParser::new(names).map(move |name| known(name).map_or(EntrySpeed::Braked, |(_, it)| *it))
+    PossibleValuesParser::new(names).map(move |name| known(name).map(|(_, speed)| *speed))
 }
 
 impl SimulateArgs {
@@ -97,9 +104,10 @@ impl SimulateArgs {
     pub(super) fn stage(&self, seed: u64, eye: SightKind) -> Result<Stage, String> {
         let mut stage = stage(seed, eye)?;
         match self.controller {
-            ControllerArg::Usual => {
-                stage.controller.blends = BlendConfig { entry_speed: self.blend, seed };
-            }
+            ControllerArg::Usual => match self.blend {
+                Some(entry_speed) => stage.controller.blends = BlendConfig { entry_speed, seed },
+                None => stage.model.cycle.blend = 0.0,
+            },
             ControllerArg::Worst => worst(&mut stage, seed)?,
         }
         Ok(stage)
@@ -107,7 +115,7 @@ impl SimulateArgs {
 
     /// Arm and controller are those of the pages in docs/.
     pub(super) fn is_usual(&self) -> bool {
-        self.blend == EntrySpeed::Braked && self.controller == ControllerArg::Usual
+        self.blend == Some(EntrySpeed::Braked) && self.controller == ControllerArg::Usual
     }
 
     /// What the command that repeats a failure needs besides, after a blank.
@@ -115,8 +123,11 @@ impl SimulateArgs {
         if self.controller == ControllerArg::Worst {
             return " --controller worst".to_string();
         }
-        let name = ENTRY_SPEEDS.iter().find(|(_, speed)| *speed == self.blend).map(|(name, _)| *name);
-        name.filter(|_| !self.is_usual()).map(|name| format!(" --blend {name}")).unwrap_or_default()
+        if self.is_usual() {
+            return String::new();
+        }
+        let name = ENTRY_SPEEDS.iter().find(|(_, speed)| Some(*speed) == self.blend);
+        format!(" --blend {}", name.map_or(NO_BLENDS, |(name, _)| name))
     }
 }
 
@@ -147,19 +158,22 @@ mod tests {
     #[test]
     fn blend_option_reaches_the_arm_and_the_repeat_command() {
         let usual = read(&[]).expect("no option is required");
-        assert_eq!((usual.blend, usual.repeat_arguments()), (EntrySpeed::Braked, String::new()));
+        assert_eq!((usual.blend, usual.repeat_arguments()), (Some(EntrySpeed::Braked), String::new()));
         for (word, entry_speed) in ENTRY_SPEEDS {
             let args = read(&["--blend", word]).expect(word);
             let stage = args.stage(7, SightKind::Corners).expect("the usual cell");
             assert_eq!(stage.controller.blends, BlendConfig { entry_speed: *entry_speed, seed: 7 });
             let repeated = args.repeat_arguments();
             let words: Vec<&str> = repeated.split_whitespace().collect();
-            assert_eq!(read(&words).expect(word).blend, *entry_speed);
+            assert_eq!(read(&words).expect(word).blend, Some(*entry_speed));
         }
+        let none = read(&["--blend", "none"]).expect("no blends");
+        assert_eq!(none.stage(7, SightKind::Corners).expect("the cell").model.cycle.blend, 0.0);
+        assert_eq!(none.repeat_arguments(), " --blend none");
         let worst = read(&["--controller", "worst"]).expect("worst");
         let stage = worst.stage(7, SightKind::Corners).expect("the worst cell");
         assert!(stage.weather == Weather::WORST && stage.world.gripper.overshoot > 0.0);
         assert_eq!(worst.repeat_arguments(), " --controller worst");
-        assert!(read(&["--blend", "quick"]).unwrap_err().contains("braked, kept, scaled, raised"));
+        assert!(read(&["--blend", "quick"]).unwrap_err().contains("braked, kept, scaled, raised, none"));
     }
 }

@@ -79,7 +79,8 @@ impl Conduct {
         self.check_answers(machine);
         let began = moves && !self.moved;
         self.moved = moves;
-        if began && !stranger && !self.stranger {
+        // What a hand does in freedrive, `Arming` judges.
+        if began && !stranger && !self.stranger && !truth.guided {
             self.check_begin(machine, nonce);
         }
         if truth.armed() {
