@@ -35,9 +35,11 @@ pub(super) struct Arming {
     moved: u64,
     /// Since when a person guides the arm.
     guided: Option<u64>,
-    /// The arm has been running while armed, and since when it is not any more.
-    ran: bool,
+    /// The highest step of the arm's power while armed, and since when it is below that.
+    power: u8,
     off: Option<u64>,
+    /// The power has been off while armed.
+    seen_off: bool,
     /// Orders that only stop, without a decision: when they were given, and which.
     stops: BTreeMap<u64, (u64, Order)>,
 }
@@ -53,7 +55,8 @@ impl Arming {
             given: false,
             moved: 0,
             guided: None,
-            ran: false,
+            power: 0,
+            seen_off: false,
             off: None,
             stops: BTreeMap::new(),
         }
@@ -137,9 +140,17 @@ impl Arming {
     }
 
     fn power(&mut self, truth: &Truth, found: &mut Found) {
-        let runs = truth.mode == RobotMode::Running;
-        self.ran = truth.armed() && (self.ran || runs);
-        self.off = if self.ran && !runs { self.off.or(Some(truth.frame)) } else { None };
+        let step = match truth.mode {
+            RobotMode::Running => 3,
+            RobotMode::Idle => 2,
+            RobotMode::PowerOn => 1,
+            // The joints boot once the power is on, the controller while it is off.
+            RobotMode::Booting => u8::from(self.seen_off),
+            _ => 0,
+        };
+        self.seen_off = truth.armed() && (self.seen_off || truth.mode == RobotMode::PowerOff);
+        self.power = if truth.armed() { self.power.max(step) } else { 0 };
+        self.off = if step < self.power { self.off.or(Some(truth.frame)) } else { None };
         if self.off.is_some_and(|since| truth.frame == since + KNOWN_FRAMES) {
             found.push(Rule::ArmedThroughPower, format!("{:?}", truth.mode));
         }

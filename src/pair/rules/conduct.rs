@@ -42,6 +42,8 @@ pub(super) struct Conduct {
     /// What is not reported yet.
     pub found: Found,
     moved: bool,
+    /// When it moved last, not by hand and with a link that brought states.
+    moved_at: u64,
     stopped_at: Option<u64>,
     /// Frames for which the arm has not moved, and when it last began to, from standstill.
     still: u64,

@@ -57,6 +57,8 @@ pub(super) struct Truth<'a> {
     pub local: bool,
     /// A person holds the freedrive button.
     pub guided: bool,
+    /// The button is held and no program plays: only a hand can move the arm.
+    pub by_hand: bool,
     /// The controller's robot mode.
     pub mode: RobotMode,
     /// The cell as the machine has it; none before it is commissioned.
@@ -103,6 +105,7 @@ impl<'a> Truth<'a> {
             safe,
             local: !core.modes.remote(),
             guided: core.pendant.freedrive,
+            by_hand: core.pendant.freedrive && !programs.playing(),
             mode: core.modes.robot_mode(),
             supervisor: machine.supervisor(),
             status,

@@ -14,6 +14,7 @@ use celld::pair::rules::Rule;
 use celld::pair::stage::Stage;
 use std::cell::RefCell;
 use std::rc::Rc;
+use ur_wire::enumerations::RobotMode;
 
 pub const CASES: &[Case] = &[
     Case {
@@ -71,6 +72,13 @@ pub const CASES: &[Case] = &[
         cell: usual,
         plant: states_frozen,
         drill: powered_off,
+    },
+    Case {
+        name: "a switch of the arm's power is not noticed while the joints boot",
+        rule: Rule::ArmedThroughPower,
+        cell: usual,
+        plant: boots_for_ever,
+        drill: powered_off_while_it_boots,
     },
     Case {
         name: "the cell arms itself",
@@ -251,6 +259,36 @@ fn powered_off(pair: &mut Pair, stage: &Stage) {
     arm(pair);
     pair.order(Order::Pause);
     wait(pair, 1.0);
+    bring_about(pair, r#"{"do": "ur.power_off"}"#);
+    until_found(pair, 2.0);
+}
+
+/// Once the joints boot, every state says that they do.
+fn boots_for_ever() -> Plant {
+    const BOOTING: i32 = 2;
+    let mut boots = false;
+    Plant::none().event(move |event, events| {
+        let Event::Received(Link::Rtde, bytes) = event else { return events.push(event) };
+        let bytes = rtde::states(&bytes, |state| {
+            boots |= rtde::integer(state, rtde::ROBOT_MODE) == BOOTING;
+            if boots {
+                state[rtde::ROBOT_MODE].copy_from_slice(&BOOTING.to_be_bytes());
+            }
+            true
+        });
+        events.push(Event::Received(Link::Rtde, bytes));
+    })
+}
+
+fn powered_off_while_it_boots(pair: &mut Pair, _: &Stage) {
+    bring_about(pair, r#"{"do": "ur.power_off"}"#);
+    wait(pair, 1.0);
+    pair.order(Order::Arm);
+    let boots = pair.run_until(5.0, |pair| {
+        pair.simulator().core().robot.controller().core.modes.robot_mode() == RobotMode::Booting
+    });
+    assert!(boots, "the joints do not boot");
+    wait(pair, 0.1);
     bring_about(pair, r#"{"do": "ur.power_off"}"#);
     until_found(pair, 2.0);
 }

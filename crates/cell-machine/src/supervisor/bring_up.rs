@@ -7,7 +7,7 @@ use crate::device::robot_types::RobotCommand;
 use crate::supervisor::cell::Supervisor;
 use crate::supervisor::gates::GateClosed;
 use crate::supervisor::input::{Action, DeviceSnapshot};
-use crate::supervisor::mode::Mode;
+use crate::supervisor::mode::{Mode, PowerStep};
 use crate::supervisor::phase::{BringUp, JobRun, Phase};
 use crate::supervisor::reason::{alarm, say};
 use crate::supervisor::round::RoundFault;
@@ -30,6 +30,10 @@ impl Supervisor {
         closed: GateClosed,
         out: &mut Vec<Action>,
     ) {
+        if self.power_was_switched(devices) {
+            // Arming lapses on the next tick.
+            return;
+        }
         let can_start = self.mode.armed()
             && devices.robot_fresh
             && devices.robot.is_some_and(|robot| robot.remote_control == Some(true));
@@ -131,8 +135,8 @@ impl Supervisor {
             self.phase = self.after_bring_up();
             return;
         }
-        if !bring_up.goes_on(robot.robot_mode) {
-            // A person has switched the arm off: arming lapses, and no power is switched on again.
+        if self.mode.power_fell_to(PowerStep::of(robot.robot_mode, bring_up.requested.is_some())) {
+            // A person switched the arm off. Arming lapses on the next tick; no power is switched on again.
             return;
         }
         match robot.robot_mode {

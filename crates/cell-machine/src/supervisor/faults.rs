@@ -42,6 +42,7 @@ impl Supervisor {
         self.watch_visit(now, devices, out);
         self.watch_unlocking(now, devices, out);
         self.arm_when_open(devices, out);
+        self.note_power(devices);
         self.bring_up(devices, out);
         if let Some(reason) = self.motion_reason(now, devices).filter(|_| self.moving()) {
             return self.stop_what_has_begun(now, JobStatus::Interrupted, reason, out);

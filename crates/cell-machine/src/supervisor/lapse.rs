@@ -11,6 +11,7 @@ use crate::code::{Code, JobStatus};
 use crate::supervisor::cell::Supervisor;
 use crate::supervisor::gates::motion_speed;
 use crate::supervisor::input::{Action, DeviceSnapshot};
+use crate::supervisor::mode::PowerStep;
 use crate::supervisor::phase::{Phase, Quiet};
 use crate::supervisor::reason::{alarm, with_fault};
 use crate::supervisor::safety_words::mode_words;
@@ -55,6 +56,25 @@ impl Supervisor {
         now.since(quiet.since)
     }
 
+    /// The present step of the arm's power.
+    fn power_step(&self, devices: &DeviceSnapshot) -> Option<PowerStep> {
+        let robot = devices.robot.filter(|_| devices.robot_fresh)?;
+        let ordered = matches!(&self.phase, Phase::BringUp(bring_up) if bring_up.requested.is_some());
+        PowerStep::of(robot.robot_mode, ordered)
+    }
+
+    /// The arm's power or brakes went back since the cell was armed, and not by celld.
+    pub(crate) fn power_was_switched(&self, devices: &DeviceSnapshot) -> bool {
+        self.mode.power_fell_to(self.power_step(devices))
+    }
+
+    /// Notes how far the arm has come since the cell was armed.
+    pub(crate) fn note_power(&mut self, devices: &DeviceSnapshot) {
+        if let Some(step) = self.power_step(devices) {
+            self.mode.note_power(step);
+        }
+    }
+
     fn too_quiet(&self, quiet_for: Duration) -> Option<String> {
         let limit = self.model.tolerances.arm_lapse;
         (quiet_for >= limit)
@@ -74,7 +94,7 @@ impl Supervisor {
         if robot.guided || robot.robot_mode == RobotMode::Backdrive {
             return Some("the arm is guided by hand".to_string());
         }
-        let starts = matches!(&self.phase, Phase::BringUp(way_up) if !way_up.fell_back(robot.robot_mode));
+        let starts = matches!(self.phase, Phase::BringUp(_)) && !self.power_was_switched(devices);
         if robot.robot_mode != RobotMode::Running && !starts {
             let mode = mode_words(robot.robot_mode);
             return Some(format!("power or brakes were switched, and not by celld: {mode}"));

@@ -5,6 +5,7 @@
 
 use cell_values::time::Timestamp;
 use serde::{Deserialize, Serialize};
+use ur_wire::enumerations::RobotMode;
 
 /// Whether and how the cell may move.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize)]
@@ -20,6 +21,9 @@ pub enum Mode {
         pace: Pace,
         /// The arm goes to its park pose next.
         park: bool,
+        /// The highest step of the arm's power since the cell was armed.
+        #[serde(default)]
+        power: PowerStep,
     },
     /// The cell cannot be armed until the daemon is started anew, for this reason.
     Locked(String),
@@ -30,6 +34,39 @@ pub enum Mode {
         /// What made it end, unless it was ordered to.
         fault: Option<EndFault>,
     },
+}
+
+/// A step of the arm's power, from off to running.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize)]
+pub enum PowerStep {
+    /// No power.
+    #[default]
+    Off,
+    /// Power is on, the joints start.
+    Starting,
+    /// The brakes are on.
+    Idle,
+    /// The brakes are off.
+    Running,
+}
+
+impl PowerStep {
+    /// The step of a robot mode; `None` for a mode that is none. Booting counts once celld has `ordered` the
+    /// power on: a controller that is switched on boots too, with the arm's power off.
+    pub fn of(mode: RobotMode, ordered: bool) -> Option<PowerStep> {
+        match mode {
+            RobotMode::PowerOff | RobotMode::NoController | RobotMode::Disconnected => Some(PowerStep::Off),
+            RobotMode::Booting if ordered => Some(PowerStep::Starting),
+            RobotMode::PowerOn => Some(PowerStep::Starting),
+            RobotMode::Idle => Some(PowerStep::Idle),
+            RobotMode::Running => Some(PowerStep::Running),
+            RobotMode::Booting
+            | RobotMode::ConfirmSafety
+            | RobotMode::Backdrive
+            | RobotMode::UpdatingFirmware
+            | RobotMode::Unknown(_) => None,
+        }
+    }
 }
 
 /// How jobs go on in an armed cell.
@@ -87,7 +124,7 @@ impl Mode {
 
     /// One pick-n-place follows the other, and nothing else is wanted.
     pub fn runs(&self) -> bool {
-        matches!(self, Mode::Armed { pace: Pace::Running, park: false })
+        matches!(self, Mode::Armed { pace: Pace::Running, park: false, .. })
     }
 
     /// The daemon ends.
@@ -104,7 +141,7 @@ impl Mode {
     pub fn arm(&mut self) -> bool {
         if let Mode::Disarmed { paused } = *self {
             let pace = if paused { Pace::Paused } else { Pace::Running };
-            *self = Mode::Armed { pace, park: false };
+            *self = Mode::Armed { pace, park: false, power: PowerStep::Off };
         }
         self.armed()
     }
@@ -144,6 +181,18 @@ impl Mode {
         }
     }
 
+    /// Notes the present step of the arm's power.
+    pub fn note_power(&mut self, step: PowerStep) {
+        if let Mode::Armed { power, .. } = self {
+            *power = step.max(*power);
+        }
+    }
+
+    /// Power or brakes went back since the cell was armed; celld does not switch them off in an armed cell.
+    pub fn power_fell_to(&self, step: Option<PowerStep>) -> bool {
+        matches!(self, Mode::Armed { power, .. } if step.is_some_and(|step| step < *power))
+    }
+
     /// A pick-n-place is over: a single step ends in a pause.
     pub fn step_over(&mut self) {
         if let Mode::Armed { pace: pace @ Pace::OneMove, .. } = self {
@@ -171,13 +220,13 @@ mod tests {
 
     #[test]
     fn a_single_step_ends_in_a_pause() {
-        let mut mode = Mode::Armed { pace: Pace::OneMove, park: false };
+        let mut mode = Mode::Armed { pace: Pace::OneMove, park: false, power: PowerStep::Running };
         mode.step_over();
         assert!(mode.paused());
-        let mut mode = Mode::Armed { pace: Pace::OneMove, park: false };
+        let mut mode = Mode::Armed { pace: Pace::OneMove, park: false, power: PowerStep::Running };
         mode.disarm();
         assert!(mode.arm() && mode.paused(), "also when it was broken off");
-        let mut mode = Mode::Armed { pace: Pace::Running, park: false };
+        let mut mode = Mode::Armed { pace: Pace::Running, park: false, power: PowerStep::Running };
         mode.step_over();
         assert!(!mode.paused());
     }

@@ -50,39 +50,6 @@ pub(crate) struct BringUp {
     pub program_requested: bool,
     /// How noisy the joints are at rest.
     pub rest: Stillness,
-    /// How far the arm has come on its way from power off to running.
-    #[serde(default)]
-    reached: u8,
-}
-
-impl BringUp {
-    /// Notes how far the arm has come; false where it has fallen back, which celld never orders.
-    pub fn goes_on(&mut self, mode: RobotMode) -> bool {
-        self.reached = self.reached.max(way_up(mode).unwrap_or(0));
-        !self.fell_back(mode)
-    }
-
-    /// Power or brakes were switched since the bring-up began, and not by celld.
-    pub fn fell_back(&self, mode: RobotMode) -> bool {
-        way_up(mode).is_some_and(|at| at < self.reached)
-    }
-}
-
-/// The steps from power off to running; `None` for a mode that is none of them.
-fn way_up(mode: RobotMode) -> Option<u8> {
-    match mode {
-        RobotMode::PowerOff => Some(0),
-        RobotMode::PowerOn => Some(1),
-        RobotMode::Idle => Some(2),
-        RobotMode::Running => Some(3),
-        RobotMode::NoController
-        | RobotMode::Disconnected
-        | RobotMode::ConfirmSafety
-        | RobotMode::Booting
-        | RobotMode::Backdrive
-        | RobotMode::UpdatingFirmware
-        | RobotMode::Unknown(_) => None,
-    }
 }
 
 /// A look at the table.

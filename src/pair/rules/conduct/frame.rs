@@ -38,6 +38,9 @@ const OVERTAKEN_FRAMES: u64 = 500;
 /// The on-robot program's watchdog and the stop after it.
 const WATCHDOG_FRAMES: u64 = 350;
 
+/// The arm stands in a corner of its path for 200 ms at most.
+const CORNER_FRAMES: u64 = 100;
+
 /// Something held is read at least this often; a lost gripper is noticed first.
 const WATCH_FRAMES: u64 = 500;
 
@@ -77,10 +80,13 @@ impl Conduct {
         self.watch_gates(simulator, safe);
         self.check_lost(machine);
         self.check_answers(machine);
-        let began = moves && !self.moved;
-        self.moved = moves;
-        // What a hand does in freedrive, `Arming` judges.
-        if began && !stranger && !self.stranger && !truth.guided {
+        // A motion that begins by hand and goes on by itself begins when the hand lets go.
+        let began = moves && !truth.by_hand && !self.moved;
+        self.moved = moves && !truth.by_hand;
+        if self.moved && !self.silent() {
+            self.moved_at = frame;
+        }
+        if began && !stranger && !self.stranger {
             self.check_begin(machine, nonce);
         }
         if truth.armed() {
@@ -133,9 +139,21 @@ impl Conduct {
 
     /// No stop has reached the program: celld or its link was gone before there was a reason for one.
     fn unreached(&self) -> bool {
+        self.cut_off() || self.restarted_at.is_some_and(|at| self.armed_at.is_none_or(|armed| armed <= at))
+    }
+
+    /// The link was gone before there was a reason for a stop.
+    fn cut_off(&self) -> bool {
         let reachable = self.stopped_at.is_some_and(|at| at < self.state_before_silence());
-        ((self.silent() || self.just_back()) && !reachable)
-            || self.restarted_at.is_some_and(|at| self.armed_at.is_none_or(|armed| armed <= at))
+        (self.silent() || self.just_back()) && !reachable
+    }
+
+    /// What was streamed before the link was gone goes on until the program's watchdog ends it, after a stop
+    /// in a corner too.
+    fn goes_on_from_corner(&self) -> bool {
+        let gone = self.state_before_silence();
+        let on_its_way = gone <= self.moved_at + CORNER_FRAMES;
+        self.cut_off() && on_its_way && self.frame <= gone + WATCHDOG_FRAMES
     }
 
     /// A link that has just come back has not brought the stop yet.
@@ -194,10 +212,8 @@ impl Conduct {
     /// The arm begins to move.
     fn check_begin(&mut self, machine: &Machine, nonce: i32) {
         let restarted = self.restarted_at.is_some_and(|at| self.frame <= at + WATCHDOG_FRAMES);
-        let cut_off = self.unreached() && self.frame <= self.state_before_silence() + WATCHDOG_FRAMES;
-        // What was streamed before celld or its link was gone goes on, over a stop in a corner too, until
-        // the program's watchdog ends it.
-        if self.played_unreached() || restarted || cut_off {
+        // What was streamed before celld was gone goes on until the program's watchdog ends it.
+        if self.played_unreached() || restarted || self.goes_on_from_corner() {
             return;
         }
         let Some(supervisor) = machine.supervisor() else {

@@ -107,15 +107,25 @@ fn an_arm_that_a_person_switches_off_while_it_is_started_is_not_powered_again() 
         (RobotMode::Running, RobotMode::PowerOff),
         (RobotMode::Running, RobotMode::Idle),
         (RobotMode::Idle, RobotMode::PowerOff),
+        (RobotMode::Booting, RobotMode::PowerOff),
     ] {
         let mut bench = Bench::new();
-        bench.robot.robot_mode = from;
+        let boots = from == RobotMode::Booting;
+        bench.robot.robot_mode = if boots { RobotMode::PowerOff } else { from };
         bench.job(false);
         bench.feed(order(Order::Arm));
         bench.ticks(3);
+        if boots {
+            // celld has switched the power on, and the joints boot.
+            bench.robot.robot_mode = from;
+            bench.ticks(3);
+        }
         assert!(bench.cell.status().armed && matches!(bench.cell.phase, Phase::BringUp(_)), "{from:?}");
         bench.robot.robot_mode = to;
-        let after = bench.ticks(200);
+        let mut after = bench.ticks(200);
+        // Who switched it off may switch it on again: no brake is released then.
+        bench.robot.robot_mode = RobotMode::Idle;
+        after.extend(bench.ticks(200));
         let powers = |action: &Action| {
             matches!(action, Action::Robot(RobotCommand::PowerOn | RobotCommand::ReleaseBrakes))
         };
@@ -123,6 +133,20 @@ fn an_arm_that_a_person_switches_off_while_it_is_started_is_not_powered_again() 
         assert!(!bench.cell.status().armed, "{from:?} to {to:?}");
         assert!(bench.cell.status().job.is_some(), "the job waits for a person");
     }
+}
+
+#[test]
+fn no_event_before_the_next_tick_powers_an_arm_that_a_person_switched_off() {
+    let mut bench = Bench::new();
+    bench.feed(order(Order::Arm));
+    bench.ticks(3);
+    bench.robot.robot_mode = RobotMode::PowerOff;
+    let mut after = bench.job(false);
+    after.extend(bench.feed(Input::Robot(RobotEvent::Mode { mode: RobotMode::PowerOff })));
+    after.extend(bench.ticks(50));
+    let powers = |action: &Action| matches!(action, Action::Robot(RobotCommand::PowerOn));
+    assert!(!after.iter().any(powers), "{after:?}");
+    assert!(!bench.cell.status().armed);
 }
 
 #[test]
