@@ -327,7 +327,7 @@ impl Reply {
     /// Reads the reply line to `command`.
     ///
     /// # Errors
-    /// A mode, a yes/no, a serial number, a model or a version that is none: never guessed.
+    /// The reply is no valid mode, yes or no, serial number, model or version; celld does not guess.
     pub fn parse(command: &Command, line: &str) -> Result<Reply, WireError> {
         let line = line.trim();
         if starts_with(line, NOT_ALLOWED) {
@@ -345,7 +345,7 @@ impl Reply {
                 mode(line, "Safetystatus:", SafetyMode::from_name).map(Reply::SafetyMode)
             }
             Command::ProgramState => program_state(line),
-            // They say which robot it is: what cannot be an answer is no other robot.
+            // These identify the robot: garbage must not look like another one.
             Command::GetSerialNumber => text(line, "a serial number", is_serial),
             Command::GetRobotModel => text(line, "a model", is_model),
             Command::PolyscopeVersion | Command::Version => text(line, "a software version", is_version),
@@ -410,16 +410,20 @@ fn text(line: &str, expected: &'static str, is_one: fn(&str) -> bool) -> Result<
 }
 
 fn is_serial(line: &str) -> bool {
-    line.chars().all(|c| c.is_ascii_alphanumeric() || c == '-' || c == '_')
+    let digits = line.contains(|c: char| c.is_ascii_digit());
+    digits
+        && !starts_with(line, "UR")
+        && line.chars().all(|c| c.is_ascii_alphanumeric() || c == '-' || c == '_')
 }
 
-/// The answer to another question is none.
+/// Rejects a version that arrives as the answer to this question.
 fn is_model(line: &str) -> bool {
-    !starts_with(line, "URSoftware")
+    starts_with(line, "UR") && !starts_with(line, "URSoftware")
 }
 
 fn is_version(line: &str) -> bool {
-    line.contains(|c: char| c.is_ascii_digit())
+    let has_parts = |pair: &[u8]| pair[0].is_ascii_digit() && pair[1] == b'.';
+    line.as_bytes().windows(2).any(has_parts)
 }
 
 fn program_state(line: &str) -> Result<Reply, WireError> {
@@ -498,17 +502,21 @@ mod tests {
 
     #[test]
     fn garbage_and_the_answer_to_another_question_are_no_identity() {
-        let version = "URSoftware 5.11.0.1031110 (Sep 30 2020)";
-        for (command, good, bad) in [
-            (Command::GetSerialNumber, "20235500001", version),
-            (Command::GetSerialNumber, "20-ab_1", "\u{fffd}7\u{fffd}y"),
-            (Command::GetRobotModel, "UR5", version),
-            (Command::GetRobotModel, "UR16 e", "']y\u{1}"),
-            (Command::PolyscopeVersion, version, "UR"),
-            (Command::Version, "5.11", ""),
-        ] {
-            assert_eq!(Reply::parse(&command, good), Ok(Reply::Text(good.into())));
-            assert!(Reply::parse(&command, bad).is_err(), "{bad:?} to {command:?}");
+        let answers = [
+            (Command::GetSerialNumber, "20235500001"),
+            (Command::GetRobotModel, "UR16"),
+            (Command::PolyscopeVersion, "URSoftware 5.11.0.1031110 (Sep 30 2020)"),
+            (Command::Version, "5.11"),
+        ];
+        let garbage = ["\u{fffd}7\u{fffd}.5y", "']y\u{1}", "", "true", "STOPPED", "Robotmode: RUNNING"];
+        for (command, good) in &answers {
+            assert_eq!(Reply::parse(command, good), Ok(Reply::Text((*good).into())));
+            let versions = |of: &Command| matches!(of, Command::PolyscopeVersion | Command::Version);
+            let others =
+                answers.iter().filter(|(of, _)| of != command && !(versions(of) && versions(command)));
+            for bad in others.map(|(_, answer)| answer).chain(&garbage) {
+                assert!(Reply::parse(command, bad).is_err(), "{bad:?} to {command:?}");
+            }
         }
     }
 
