@@ -93,7 +93,8 @@ impl Chain {
     }
 }
 
-/// `base_from_flange` of a table for joint positions `q`: what [`Chain`] settles does not move the flange.
+/// `base_from_flange` of a table for joint positions `q`: sliding the frames, as [`Chain`] does, leaves the
+/// flange where it is.
 pub fn flange_of(dh: &DhParameters, q: &Joints) -> Isometry3<f64> {
     (0..6).fold(Isometry3::identity(), |base_from_link, i| {
         base_from_link * turned(&steps(dh, i), half_angle(q.0[i]))

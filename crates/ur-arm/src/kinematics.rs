@@ -12,8 +12,8 @@
 mod tests;
 
 use crate::chain::{Chain, flange_of};
-use crate::links::all_over;
 pub use crate::links::model_of;
+use crate::links::{all_over, farthest_apart};
 pub use crate::models::{ARM_MODELS, ArmModel, DhParameters};
 use cell_values::units::Joints;
 use nalgebra::{Isometry3, Matrix6, Vector3, Vector6};
@@ -42,7 +42,7 @@ const ANYWHERE: usize = 200;
 /// Elbow and wrist count as near their singularity below this sine.
 const SINGULAR: f64 = 0.25;
 
-/// What the closed form of the nominal arm is wanted for.
+/// How far the closed form's solutions may be from exact ones.
 #[derive(Clone, Copy)]
 struct Closed {
     /// How far a cosine may be beyond 1.
@@ -63,6 +63,10 @@ const FAR_STARTS: Closed = Closed { beyond: 1.0, apart: 0.0 };
 
 /// And what is then added to joint 1, rad.
 const AROUND: &[f64] = &[0.0, 0.02, -0.02, 0.1, -0.1, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0, 1.5, -1.5];
+
+/// Joints nearer to each other are one solution, rad: where two branches meet, Newton's tolerance leaves
+/// some 1e-6 between them.
+const SAME_RAD: f64 = 2e-5;
 
 /// Nearer than this to the shoulder's axis, in offsets d4, joint 1 is near its singularity.
 const SINGULAR_SHOULDER: f64 = 1.1;
@@ -87,7 +91,7 @@ pub struct Kinematics {
     dh: DhParameters,
     model: &'static ArmModel,
     chain: Chain,
-    /// That of the nominal arm.
+    /// Chain of the nominal arm.
     nominal: Chain,
 }
 
@@ -120,6 +124,12 @@ impl Kinematics {
         &self.chain
     }
 
+    /// How far the frames of this arm are from those of the nominal one at most, m: a figure for people, not
+    /// a bound.
+    pub fn farthest_apart(&self) -> f64 {
+        farthest_apart(&self.dh, &self.model.dh)
+    }
+
     /// `base_from_flange` for joint positions `q`.
     pub fn forward(&self, q: &Joints) -> Isometry3<f64> {
         self.chain.forward(q)
@@ -134,7 +144,7 @@ impl Kinematics {
         for (start, sure) in &starts {
             note(&mut solutions, self.refined(base_from_flange, start, *sure));
         }
-        // Where the nominal arm is not at one of its boundaries, its closed form has said all.
+        // Where the nominal arm is not at one of its boundaries, no closed-form solution means out of reach.
         if solutions.is_empty() && !(self.is_nominal() && starts.is_empty()) {
             solutions = self.at_singularities(base_from_flange, starts);
         }
@@ -192,7 +202,7 @@ impl Kinematics {
         family(&self.chain, q).map(|value| value > 0.0)
     }
 
-    /// The closed form is exact for this arm, but near its singularities and at the edge of reach.
+    /// The closed form is exact for this arm, except near its singularities and at the edge of reach.
     fn is_nominal(&self) -> bool {
         self.dh == self.model.dh
     }
@@ -277,7 +287,8 @@ fn wrist_radius(dh: &DhParameters, base_from_flange: &Isometry3<f64>) -> f64 {
 fn note(solutions: &mut Vec<Joints>, found: Option<Joints>) {
     let Some(joints) = found else { return };
     let wrapped = Joints(joints.0.map(wrap));
-    if solutions.iter().all(|known| known.max_difference(&wrapped) > 1e-6) {
+    let apart = |known: &Joints| known.0.iter().zip(wrapped.0).any(|(a, b)| wrap(a - b).abs() > SAME_RAD);
+    if solutions.iter().all(apart) {
         solutions.push(wrapped);
     }
 }
@@ -333,12 +344,12 @@ fn inverse_nominal(
         // How the flange is turned against it is joint 5, towards where joint 6. A cosine alone would be too
         // coarse where joint 5 is near its singularity.
         let [x, y, z] = [x6, y6, z6].map(|side| axis.dot(&side));
-        let exact = x.hypot(y).atan2(z);
-        let bend = exact.clamp(wanted.apart, PI - wanted.apart);
-        let sure = known && bend == exact;
+        let exact_bend = x.hypot(y).atan2(z);
+        let bend = exact_bend.clamp(wanted.apart, PI - wanted.apart);
+        let sure = known && bend == exact_bend;
         for q5 in [bend, -bend] {
             let (s5, c5) = q5.sin_cos();
-            let q6 = if bend.sin() < 1e-12 { 0.0 } else { (-y * s5.signum()).atan2(x * s5.signum()) };
+            let q6 = if exact_bend.sin() < 1e-12 { 0.0 } else { (-y * s5.signum()).atan2(x * s5.signum()) };
             let (s6, c6) = q6.sin_cos();
             // Frame 4, in which joint 5 turns: its x axis, and its origin. The products of the links, with
             // the nominal twists, written out.
