@@ -265,6 +265,7 @@ mod tests {
             lower_bound: Some(1.0),
             seconds: 9.0,
             times: Default::default(),
+            links_off_mm: None,
             objects: vec![ObjectResult::new("plank-1", Some(goal.pose), None)],
         };
         journal.finish("tidy", &result, 1.7e9 + 9.0).unwrap();

@@ -179,6 +179,9 @@ fn settings(job: &JobRecord) -> Vec<(String, String)> {
     for (what, seconds) in job.result.iter().flat_map(|result| &result.times) {
         settings.push(pair(what, format!("{seconds:.1} s")));
     }
+    if let Some(off_mm) = job.result.as_ref().and_then(|result| result.links_off_mm) {
+        settings.push(pair("arm", format!("links up to {off_mm:.1} mm from those of a nominal arm")));
+    }
     settings
 }
 
@@ -216,6 +219,17 @@ mod tests {
         assert_eq!(of(&earlier, StepPhase::Released), None);
         assert_eq!((of(&stopped, StepPhase::Done), of(&stopped, StepPhase::Intent)), (None, None));
         assert_eq!(of(&lost, StepPhase::Gripped), None, "what was lost is said already");
+    }
+
+    #[test]
+    fn the_report_says_how_far_the_arm_is_from_nominal_where_that_is_known() {
+        let of = |links_off_mm| {
+            let result = JobResult { links_off_mm, ..JobResult::sample("a", JobStatus::Done) };
+            let settings = settings(&JobRecord { result: Some(result), ..JobRecord::sample("a") });
+            settings.into_iter().find(|(key, _)| key == "arm").map(|(_, value)| value)
+        };
+        assert_eq!(of(Some(4.62)).as_deref(), Some("links up to 4.6 mm from those of a nominal arm"));
+        assert_eq!(of(None), None);
     }
 
     #[test]

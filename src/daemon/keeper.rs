@@ -291,6 +291,7 @@ impl StateKeeper {
             lower_bound: None,
             seconds: 0.0,
             times: BTreeMap::new(),
+            links_off_mm: None,
             objects: Vec::new(),
         };
         self.journal.finish(id, &result, unix_now_s())?;
@@ -410,6 +411,7 @@ fn result_of(report: &JobReport, unix_s: f64) -> JobResult {
         lower_bound: report.lower_bound,
         seconds: report.seconds,
         times: in_words(&report.times.total()),
+        links_off_mm: Some(report.links_off_m * 1e3),
         objects: report
             .objects
             .iter()

@@ -312,6 +312,7 @@ mod tests {
                 lower_bound: Some(1.0),
                 seconds: 29.0,
                 times: [("travel".to_string(), 12.0)].into(),
+                links_off_mm: None,
                 objects: vec![ObjectResult::new("mug", Some(pose), None)],
             }),
             ..JobRecord::sample("tidy")

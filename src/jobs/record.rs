@@ -266,6 +266,10 @@ pub struct JobResult {
     /// What they were used for, s, by the word of each use; empty where that is not known.
     #[serde(default)]
     pub times: BTreeMap<String, f64>,
+    /// How far the arm's links are from those of a nominal arm at most, mm, by the calibration in its
+    /// controller; `None` where celld did not end the job itself.
+    #[serde(default)]
+    pub links_off_mm: Option<f64>,
     /// Objects with a goal, as the camera last saw them.
     pub objects: Vec<ObjectResult>,
 }
@@ -426,6 +430,7 @@ impl JobResult {
         line("seconds", number(Some(self.seconds)));
         let times = self.times.iter().map(|(what, seconds)| format!("{what}: {}", number(Some(*seconds))));
         line("times", format!("{{{}}}", times.collect::<Vec<_>>().join(", ")));
+        line("links_off_mm", number(self.links_off_mm));
         if self.objects.is_empty() {
             line("objects", "[]".to_owned());
             return yaml;
@@ -489,6 +494,7 @@ mod tests {
             lower_bound: Some(2.0),
             seconds: 61.5,
             times: BTreeMap::from([("travel".to_string(), 40.25), ("vacuum".to_string(), 1.5)]),
+            links_off_mm: Some(4.6),
             objects: vec![
                 ObjectResult::new("mug", Some(goal), Some((measured, 1_795_248_000.0))),
                 ObjectResult::new("cap", Some(goal), None),
@@ -505,6 +511,7 @@ mod tests {
         lower_bound: 2
         seconds: 61.5
         times: {travel: 40.25, vacuum: 1.5}
+        links_off_mm: 4.6
         objects:
           - {id: "mug", goal: [0.1, 0.2, 0], measured: [0.1, 0.2003, 0.01], at: "2026-11-21T08:00:00Z", error_mm: 0.3, error_deg: 0.573}
           - {id: "cap", goal: [0.1, 0.2, 0], measured: null, at: null, error_mm: null, error_deg: null}

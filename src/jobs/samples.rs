@@ -44,6 +44,7 @@ impl JobResult {
             lower_bound: None,
             seconds: 0.0,
             times: BTreeMap::new(),
+            links_off_mm: None,
             objects: Vec::new(),
         }
     }

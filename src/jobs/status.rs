@@ -329,6 +329,7 @@ mod tests {
             lower_bound: None,
             seconds: 1.0,
             times: BTreeMap::new(),
+            links_off_mm: None,
             objects: Vec::new(),
         };
         let job = JobRecord::sample("a");

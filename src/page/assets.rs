@@ -302,6 +302,7 @@ mod tests {
             lower_bound: None,
             seconds: 29.0,
             times: BTreeMap::new(),
+            links_off_mm: None,
             objects: Vec::new(),
         });
         (job, steps)

@@ -79,6 +79,7 @@ mod tests {
             lower_bound: None,
             seconds,
             times: [(Use::Waiting.as_str().to_string(), waited)].into(),
+            links_off_mm: None,
             objects: Vec::new(),
         };
         JobRecord { claimed_unix_s, result: Some(result), ..JobRecord::sample("tidy") }

@@ -137,6 +137,7 @@ impl Store {
             planning_seconds: 0.0,
             seconds: 0.0,
             times: JobTimes::default(),
+            links_off_m: 0.0,
             objects: Vec::new(),
         });
     }

@@ -6,6 +6,7 @@ use cell_machine::supervisor::status::Doing;
 use cell_motion::slow::CalibrationBox;
 use celld::pair::camera_view::SightKind;
 use celld::pair::endurance::{Course, Period, endurance};
+use celld::pair::network::Weather;
 use celld::pair::orders::{self, ORDERS_SEED};
 use celld::pair::orders_page;
 use celld::pair::outcome::Phase;
@@ -22,8 +23,11 @@ use celld::pair::{Choice, Pair};
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 use rearrange::document::chain::chain;
 use rearrange::geometry::pose::Pose2;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use ur_arm::links::{farthest_apart, model_of};
+use ur_sim::compute_box::SecondClient;
 use ur_sim::faults::read::read_posted;
+use ur_sim::motion::rest::{RestConfig, Stop};
 use ur_sim::motion::rounding::{BlendConfig, EntrySpeed};
 
 #[test]
@@ -59,6 +63,54 @@ fn no_rule_is_broken_at_any_blend_speed() {
     }
 }
 
+/// Each thing that the seed decides comes both ways within a few seeds, and the rest is always there.
+#[test]
+fn the_worst_controller_is_as_bad_as_its_page_says() {
+    let mut speeds = BTreeSet::new();
+    let (mut claims, mut evictions) = (0, 0);
+    for seed in 0..20 {
+        let mut stage = stage(seed, SightKind::Corners).unwrap();
+        worst(&mut stage, seed).unwrap();
+        speeds.insert(format!("{:?}", stage.controller.blends.entry_speed));
+        claims += stage.at_start.len();
+        evictions += usize::from(stage.world.gripper.clients.second == SecondClient::Evicts);
+        let RestConfig { stop, speed_noise, position_noise } = stage.controller.rest;
+        assert!(stop == Stop::Creeping && speed_noise > 0.0 && position_noise > 0.0);
+        assert!(stage.controller.loads_for_s == 2.0 && stage.world.gripper.overshoot == 0.11);
+        assert_eq!(stage.weather, Weather::WORST);
+    }
+    assert_eq!(speeds.len(), 4);
+    assert!((1..20).contains(&claims) && (1..20).contains(&evictions), "{claims} {evictions}");
+}
+
+/// What `--faults sweep` and `--orders` do, with the worst controller: some of the cases in each run.
+#[test]
+fn no_case_breaks_a_rule_with_the_worst_controller() {
+    let mut stage = stage(PAGE_SEED, SightKind::Corners).unwrap();
+    worst(&mut stage, PAGE_SEED).unwrap();
+    let some: Vec<_> = cases().enumerate().filter(|(number, _)| chosen(*number, 40)).collect();
+    let wrong: Vec<String> = some
+        .par_iter()
+        .filter_map(|(_, (row, phase))| {
+            let (outcome, _) = case(&stage, row, *phase, PAGE_SEED, false).unwrap();
+            let faults = judge(row, *phase, &outcome, None);
+            (!faults.is_empty()).then(|| format!("{}: {faults:?}", title(row, *phase)))
+        })
+        .collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// The simulated arm has a calibration of its own, as a real one; celld reads it from the controller.
+#[test]
+fn a_jobs_report_says_how_far_the_arm_is_from_a_nominal_one() {
+    let stage = stage(3, SightKind::Corners).unwrap();
+    let (_, pair) = run_jobs(&stage, Choice::of(3), 1, &[], &mut |_| {}).unwrap();
+    let off_m = pair.reports()[0].links_off_m;
+    let nominal = model_of(&stage.controller.dh).dh;
+    assert_eq!(off_m, farthest_apart(&stage.controller.dh, &nominal));
+    assert!((1e-3..0.02).contains(&off_m), "{off_m} m");
+}
+
 /// `celld simulate --controller worst`; `--faults sweep`, `--orders` and `--faults random` run with it too.
 #[test]
 fn no_rule_is_broken_by_the_worst_controller() {
@@ -71,7 +123,7 @@ fn no_rule_is_broken_by_the_worst_controller() {
         summary.ends.into_iter().for_each(|(code, count)| *ends.entry(code).or_default() += count);
     }
     let [done, silent] = ["done", "link_silent"].map(|code| ends.remove(code).unwrap_or(0));
-    assert!(done >= 3 && ends.is_empty(), "beside {done} done, {silent} by a link that was silent: {ends:?}");
+    assert!(done >= 3 && ends.is_empty(), "{done} done, {silent} link_silent, others: {ends:?}");
 }
 
 #[test]

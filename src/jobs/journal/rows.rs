@@ -85,6 +85,7 @@ pub(super) fn storable(result: &JobResult) -> JobResult {
         seconds: finite(Some(result.seconds)).unwrap_or(0.0),
         lower_bound: finite(result.lower_bound),
         times: result.times.iter().filter(|(_, s)| s.is_finite()).map(|(k, s)| (k.clone(), *s)).collect(),
+        links_off_mm: finite(result.links_off_mm),
         objects: objects.collect(),
         ..result.clone()
     }
@@ -122,6 +123,7 @@ pub(super) fn interrupted(
         lower_bound: None,
         seconds: job.started_unix_s.map_or(0.0, |started| (unix_s - started).max(0.0)),
         times: BTreeMap::new(),
+        links_off_mm: None,
         objects: Vec::new(),
     }
 }

@@ -469,16 +469,12 @@ impl Supervisor {
             true => format!("`celld disarm`, then {}", reason.hint),
             false => reason.hint,
         };
-        let objects = job
-            .order
-            .goals
-            .iter()
-            .map(|(id, goal)| {
-                let seen = job.last_seen.iter().find(|seen| seen.id == *id && !seen.moved);
-                let measured = seen.map(|seen| (seen.pose, now.since(seen.at)));
-                ObjectReport { id: id.clone(), goal: Some(*goal), measured }
-            })
-            .collect();
+        let object = |(id, goal): &(String, _)| {
+            let seen = job.last_seen.iter().find(|seen| seen.id == *id && !seen.moved);
+            let measured = seen.map(|seen| (seen.pose, now.since(seen.at)));
+            ObjectReport { id: id.clone(), goal: Some(*goal), measured }
+        };
+        let objects = job.order.goals.iter().map(object).collect();
         say(out, format!("job {}: {}", job.order.id, reason.message));
         let report = JobReport {
             id: job.order.id,
@@ -493,6 +489,7 @@ impl Supervisor {
             planning_seconds: job.planning_seconds,
             seconds: now.since(job.started).as_secs_f64(),
             times: self.times.close(),
+            links_off_m: self.model.arm.kinematics.farthest_apart(),
             objects,
         };
         self.commit(now, Record::Ended(Box::new(report)), out);

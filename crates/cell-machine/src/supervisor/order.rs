@@ -88,6 +88,9 @@ pub struct JobReport {
     pub seconds: f64,
     /// What they were used for.
     pub times: JobTimes,
+    /// How far the arm's links are from those of a nominal arm at most, m.
+    #[serde(default)]
+    pub links_off_m: f64,
     /// Each object.
     pub objects: Vec<ObjectReport>,
 }
