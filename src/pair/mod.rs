@@ -81,7 +81,7 @@ pub enum PairError {
     /// Camera or detector.
     #[error("camera: {0}")]
     CameraView(String),
-    /// A fault that is there from the start.
+    /// A fault planned for the start is impossible.
     #[error(transparent)]
     Fault(#[from] FaultError),
 }

@@ -27,32 +27,35 @@ pub struct Weather {
     pub late: f64,
     /// Share of the packets that arrive in two pieces.
     pub split: f64,
-    /// Share of the controller's packets before which its connection is silent for 100 ms.
-    pub gap: f64,
+    /// Share of the packets to celld before which their connection is silent for 100 ms.
+    pub gap_share: f64,
     /// How long the dashboard takes to answer, s.
     pub dashboard_s: f64,
 }
 
 impl Weather {
     /// A switch between two machines, a little busy.
-    pub const LAN: Weather = Weather { late: 0.05, split: 0.02, gap: 0.0, dashboard_s: 0.0 };
+    pub const LAN: Weather = Weather { late: 0.05, split: 0.02, gap_share: 0.0, dashboard_s: 0.0 };
 
-    /// As bad as a controller of its own network may be: a gap about every minute of each connection.
-    pub const WORST: Weather = Weather { late: 0.3, split: 0.2, gap: 1.5e-4, dashboard_s: 0.7 };
-}
+    /// The worst plausible link: gaps of 100 ms, about one a minute on RTDE.
+    pub const WORST: Weather = Weather { late: 0.3, split: 0.2, gap_share: 1.5e-4, dashboard_s: 0.7 };
 
-/// 100 ms.
-const GAP_FRAMES: u64 = 50;
-
-impl Weather {
-    /// Frames that a packet of the controller is late besides.
-    fn more(&self, port: Port, rng: &mut ChaCha8Rng) -> u64 {
-        let gap = self.gap > 0.0 && rng.random_bool(self.gap);
+    /// Extra frames by which a packet to celld is late.
+    fn extra_frames(&self, port: Port, rng: &mut ChaCha8Rng) -> u64 {
+        let gap = self.gap_share > 0.0 && rng.random_bool(self.gap_share);
         let answers =
             if port == Port::Dashboard { (self.dashboard_s / FRAME_SECONDS).round() as u64 } else { 0 };
         answers + if gap { GAP_FRAMES } else { 0 }
     }
+
+    /// A link may be silent for longer than celld lets a motion go on.
+    pub fn has_gaps(&self) -> bool {
+        self.gap_share > 0.0
+    }
 }
+
+/// Length of a gap.
+const GAP_FRAMES: u64 = 50;
 
 struct Line {
     port: Port,
@@ -277,7 +280,7 @@ impl Network {
             let late = u64::from(self.rng.random_bool(self.weather.late));
             let split = self.rng.random_bool(self.weather.split);
             let Some(index) = self.lines.iter().position(|line| line.id == Some(id)) else { continue };
-            let late = late + self.weather.more(self.lines[index].port, &mut self.rng);
+            let late = late + self.weather.extra_frames(self.lines[index].port, &mut self.rng);
             let line = &mut self.lines[index];
             let over = match bytes {
                 Some(bytes) => !line.queue_for_cell(frame + late, bytes, split),

@@ -1,10 +1,10 @@
 //! The worst controller, gripper and network that are still plausible.
 //!
 //! In: a stage, a seed. Out: the same stage with all of it at once: late packets and gaps of 100 ms, slow
-//! answers of the dashboard, registers that another client holds at first, a program that takes 2 s to load,
-//! blends at any speed, joints that are noisy at rest, a pump that overshoots, a box that turns the second
-//! client away or lets it evict the first, and keeps a half-open place. What each does is drawn by the seed.
-//! Nobody measured most of it.
+//! answers of the dashboard, a program that takes 2 s to load, joints that creep and are noisy at rest, a
+//! pump that overshoots. By seed: the speed in blends, registers that another client holds at first, a
+//! gripper's box that refuses a second client or drops the first, and how long it keeps a dead client's
+//! place. Most values are guesses.
 
 use crate::pair::network::Weather;
 use crate::pair::stage::Stage;
@@ -19,10 +19,10 @@ use ur_sim::motion::rounding::{BlendConfig, ENTRY_SPEEDS};
 const SPEED_NOISE: f64 = 3e-4;
 const POSITION_NOISE: f64 = 1e-5;
 
-/// A program of this size compiles on the controller first, s.
+/// Load time of celld's program, s.
 const LOADS_FOR_S: f64 = 2.0;
 
-/// A pump that lets a tenth of its peak go is in field reports: so much beyond the target.
+/// Overshoot, share of the target: field reports say that a pump drops a tenth from its peak.
 const OVERSHOOT: f64 = 0.11;
 
 /// A crashed client's registers are free again after some seconds.
@@ -33,7 +33,7 @@ const CLAIMED: &str = r#"{"do": "ur.claim", "args": {"input": "input_int_registe
 /// # Errors
 /// The faults at the start are not in the catalogue.
 pub fn worst(stage: &mut Stage, seed: u64) -> Result<(), String> {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x776f_7273_74);
+    let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x0077_6f72_7374);
     let (_, entry_speed) = ENTRY_SPEEDS[rng.random_range(0..ENTRY_SPEEDS.len())];
     stage.controller.blends = BlendConfig { entry_speed, seed };
     stage.controller.rest =

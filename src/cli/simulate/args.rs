@@ -5,6 +5,7 @@ use crate::pair::camera_view::SightKind;
 use crate::pair::stage::Stage;
 use crate::pair::table::stage;
 use crate::pair::worst::worst;
+use cell_edge::terminal::complain;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
@@ -48,14 +49,12 @@ pub struct SimulateArgs {
     /// How the cell sees: rendered pictures with the real detector, or marker corners with its noise
     #[arg(long, value_enum, default_value_t = SightArg::Corners)]
     pub(super) eye: SightArg,
-    /// At which speed the simulated arm passes blends (see `blend:` in config/sim.yaml), or `none`: celld's
-    /// paths have no blends (`blend_m: 0`). In all but braked only the rules are checked, not the pages in
-    /// docs/
+    /// Speed at which the simulated arm passes blends (see `blend:` in config/sim.yaml); `none`: celld plans
+    /// no blends. The pages in docs/ are compared only with `braked`
     #[arg(long, value_name = "SPEED", value_parser = blends(), default_value = "braked")]
     pub(super) blend: Blend,
-    /// How controller, gripper and network behave: as usual, or as badly as is still plausible (gaps of 100
-    /// ms, slow answers, claimed registers, any blend speed, an overshooting pump, ...; see
-    /// `src/pair/worst.rs`). With `worst` only the rules are checked, not the pages in docs/
+    /// `worst`: the worst plausible controller, gripper and network, see docs/simulator.md. The pages in
+    /// docs/ are compared only with `usual`
     #[arg(long, value_enum, default_value_t = ControllerArg::Usual, conflicts_with = "blend")]
     pub(super) controller: ControllerArg,
     /// Write what happened, line by line, to this file; the same seed writes the same bytes
@@ -89,7 +88,7 @@ pub enum SightArg {
 /// Blends in celld's paths, and the speed at which the simulated arm passes them; `None`: no blends.
 pub(super) type Blend = Option<EntrySpeed>;
 
-/// How paths without blends are named.
+/// Value of `--blend` for paths without blends.
 const NO_BLENDS: &str = "none";
 
 /// The speeds by their names.
@@ -118,7 +117,16 @@ impl SimulateArgs {
         self.blend == Some(EntrySpeed::Braked) && self.controller == ControllerArg::Usual
     }
 
-    /// What the command that repeats a failure needs besides, after a blank.
+    /// Says why no page is written, where that is so: the pages in docs/ are those of the usual cell.
+    pub(super) fn refuses_to_write(&self) -> bool {
+        let refuses = self.write.is_some() && !self.is_usual();
+        if refuses {
+            complain("--write: the page is that of the usual cell; leave --blend and --controller out");
+        }
+        refuses
+    }
+
+    /// Arguments to append to the command that repeats a failure.
     pub(super) fn repeat_arguments(&self) -> String {
         if self.controller == ControllerArg::Worst {
             return " --controller worst".to_string();
@@ -170,6 +178,8 @@ mod tests {
         let none = read(&["--blend", "none"]).expect("no blends");
         assert_eq!(none.stage(7, SightKind::Corners).expect("the cell").model.cycle.blend, 0.0);
         assert_eq!(none.repeat_arguments(), " --blend none");
+        assert!(!usual.refuses_to_write() && !read(&["--write", "a.md"]).expect("a page").refuses_to_write());
+        assert!(read(&["--blend", "none", "--write", "a.md"]).expect("a page").refuses_to_write());
         let worst = read(&["--controller", "worst"]).expect("worst");
         let stage = worst.stage(7, SightKind::Corners).expect("the worst cell");
         assert!(stage.weather == Weather::WORST && stage.world.gripper.overshoot > 0.0);

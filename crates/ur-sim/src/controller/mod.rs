@@ -228,7 +228,7 @@ impl Controller {
     /// Presses or releases the emergency stop: the arm loses power, programs end.
     pub fn emergency_stop(&mut self, pressed: bool) {
         if pressed {
-            self.programs.stop(&mut self.core);
+            self.programs.cancel(&mut self.core);
             self.core.mover.freeze();
         }
         self.core.modes.emergency_stop(pressed);
@@ -287,7 +287,7 @@ impl Controller {
 
     /// Arm power off; a running program ends.
     pub fn power_off(&mut self) {
-        self.programs.stop(&mut self.core);
+        self.programs.cancel(&mut self.core);
         self.core.mover.freeze();
         self.core.modes.power_off();
     }

@@ -63,7 +63,8 @@ pub enum Loaded {
 #[derive(Debug)]
 pub struct Programs {
     run: Run,
-    uploads: VecDeque<Result<Code, CompileError>>,
+    /// Each with the frame after which it starts.
+    uploads: VecDeque<(u64, Result<Code, CompileError>)>,
     loaded: Option<Loaded>,
     /// Name of the main program that ran last or was loaded.
     last: Option<Arc<str>>,
@@ -73,9 +74,9 @@ pub struct Programs {
     joined: Option<Joined>,
     seed: u64,
     starts: u64,
-    /// Frames from an upload to its start, and how many of them are over.
+    /// Frames so far, and frames that a main program takes to load.
+    frame: u64,
     loads_for: u64,
-    loading: u64,
     /// A fault: uploads do not start.
     deaf: bool,
 }
@@ -86,8 +87,8 @@ impl Programs {
         let (run, uploads) = (Run::Stopped, VecDeque::new());
         let (loaded, last, joined) = (None, None, None);
         let loads_for = (loads_for_s / FRAME_SECONDS).round() as u64;
-        let (is_loaded, starts, loading, deaf) = (false, 0, 0, false);
-        Programs { run, uploads, loaded, last, is_loaded, joined, seed, starts, loads_for, loading, deaf }
+        let (is_loaded, starts, frame, deaf) = (false, 0, 0, false);
+        Programs { run, uploads, loaded, last, is_loaded, joined, seed, starts, frame, loads_for, deaf }
     }
 
     /// Loads a program for `play`, as from the controller's files; one that runs ends.
@@ -101,11 +102,13 @@ impl Programs {
         self.is_loaded = true;
     }
 
-    /// Hands over an upload; it starts in the next frame. False if too many wait.
+    /// Hands over an upload; it starts in the next frame, a main program once it is loaded. False if too
+    /// many wait.
     pub fn upload(&mut self, code: Result<Code, CompileError>) -> bool {
         let room = self.uploads.len() < MAX_UPLOADS;
         if room && !self.deaf {
-            self.uploads.push_back(code);
+            let is_main = code.as_ref().is_ok_and(|code| code.kind != FunctionKind::Sec);
+            self.uploads.push_back((self.frame + if is_main { self.loads_for } else { 0 }, code));
         }
         room
     }
@@ -242,7 +245,7 @@ impl Programs {
 
     /// Ends the main program, and those that were sent before this and have not begun; false if none runs.
     pub fn cancel(&mut self, core: &mut Core) -> bool {
-        let stays = |upload: &Result<Code, CompileError>| {
+        let stays = |(_, upload): &(u64, Result<Code, CompileError>)| {
             upload.as_ref().map_or(true, |code| code.kind == FunctionKind::Sec)
         };
         self.uploads.retain(stays);
@@ -275,9 +278,10 @@ impl Programs {
 
     /// One frame: starts what was uploaded, then steps the main program.
     pub fn run(&mut self, core: &mut Core) {
-        self.loading = if self.uploads.is_empty() { 0 } else { self.loading + 1 };
-        while self.loading > self.loads_for
-            && let Some(upload) = self.uploads.pop_front()
+        self.frame += 1;
+        let due = self.frame;
+        while self.uploads.front().is_some_and(|(from, _)| *from < due)
+            && let Some((_, upload)) = self.uploads.pop_front()
         {
             match upload {
                 Ok(code) if code.kind == FunctionKind::Sec => self.run_secondary(code, core),

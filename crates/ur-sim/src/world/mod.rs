@@ -171,14 +171,8 @@ struct ChannelState {
 
 impl ChannelState {
     fn new(overshoot: f64) -> ChannelState {
-        let faults = ChannelFaults::default();
-        ChannelState {
-            pump: Pump::overshooting(overshoot),
-            sealed: false,
-            holds: None,
-            faults,
-            leak_age_s: 0.0,
-        }
+        let (pump, faults) = (Pump::overshooting(overshoot), ChannelFaults::default());
+        ChannelState { pump, sealed: false, holds: None, faults, leak_age_s: 0.0 }
     }
 }
 
