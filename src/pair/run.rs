@@ -9,6 +9,7 @@ use crate::pair::stage::Stage;
 use crate::pair::work::job;
 use crate::pair::{Choice, Pair, PairError};
 use cell_machine::code::JobStatus;
+use cell_machine::device::gripper_types::Channels;
 use cell_machine::orders::Order;
 use cell_machine::supervisor::cell::Supervisor;
 use cell_machine::supervisor::model::CellModel;
@@ -24,6 +25,9 @@ pub(super) fn last_plan(pair: &Pair) -> u64 {
 
 /// Simulated seconds after which a job that has not ended is a fault of celld.
 const JOB_WITHIN_S: f64 = 600.0;
+
+/// How often a patient person looks, within that time, whether the cell is still armed.
+const PATIENT_TRIES: u32 = 20;
 
 /// Simulated seconds for the cell to come up.
 const UP_WITHIN_S: f64 = 60.0;
@@ -66,6 +70,32 @@ pub fn bring_up(pair: &mut Pair) -> bool {
     pair.run_until(UP_WITHIN_S, |pair| pair.status().is_some())
 }
 
+/// A person who sees something in the gripper takes it out.
+pub(super) fn release_what_hangs(pair: &mut Pair) {
+    if lock(&pair.simulator().core().world).glance().gripping {
+        pair.order(Order::Release(Channels::Both));
+        pair.run_until(4.0, |_| false);
+    }
+}
+
+/// A person arms; where the answer says that something may hang on the cups, the person looks, says that it
+/// does not, and arms again. A `patient` person, whose link may be silent, does so after any refusal.
+pub(super) fn arm_as_the_answer_says(pair: &mut Pair, patient: bool) {
+    pair.take_replies();
+    let number = pair.order(Order::Arm);
+    pair.run_until(0.5, |_| false);
+    let refused = pair.take_replies().into_iter().find(|(of, reply)| *of == number && !reply.accepted);
+    let Some((_, reply)) = refused else { return };
+    let hangs = reply.message.contains("celld release --yes");
+    if hangs {
+        pair.order(Order::Release(Channels::Both));
+        pair.run_until(4.0, |_| false);
+    }
+    if hangs || patient {
+        pair.order(Order::Arm);
+    }
+}
+
 /// Carries out `jobs` jobs, with faults planned from the beginning; `progress` is called after each.
 ///
 /// # Errors
@@ -106,7 +136,17 @@ fn one_job(pair: &mut Pair, stage: &Stage, seed: u64, number: usize, summary: &m
     let order = job(&stage.model, &true_poses(pair, &stage.model), seed, number);
     let (id, began, ended) = (order.id.clone(), pair.seconds(), pair.reports().len());
     pair.submit(order);
-    if !pair.run_until(JOB_WITHIN_S, |pair| pair.reports().len() > ended) {
+    // A link that may be silent can refuse or end an arming: then the person arms again.
+    let tries = if stage.weather.has_gaps() { PATIENT_TRIES } else { 1 };
+    let over = (0..tries).any(|_| {
+        let over = pair.run_until(JOB_WITHIN_S / f64::from(tries), |pair| pair.reports().len() > ended);
+        if !over && tries > 1 && !pair.status().is_some_and(|status| status.armed) {
+            release_what_hangs(pair);
+            arm_as_the_answer_says(pair, true);
+        }
+        over
+    });
+    if !over {
         let doing = pair.status().map(|status| status.text()).unwrap_or_default();
         summary.stuck.push(format!("{id} has not ended in {JOB_WITHIN_S} s: {doing}"));
         return;

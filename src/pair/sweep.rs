@@ -12,7 +12,7 @@ use crate::pair::outcome::{Outcome, Phase};
 use crate::pair::page::{reaction, title};
 use crate::pair::reactions::{Cause, ROWS, Row};
 use crate::pair::rules::Rule;
-use crate::pair::run::{bring_up, last_plan, true_poses};
+use crate::pair::run::{arm_as_the_answer_says, bring_up, last_plan, release_what_hangs, true_poses};
 use crate::pair::stage::Stage;
 use crate::pair::work::job;
 use crate::pair::{Adapter, Choice, Loss, Pair};
@@ -333,10 +333,7 @@ pub(super) fn after(pair: &mut Pair, stage: &Stage, seed: u64) -> Option<Code> {
     }
     pair.order(Order::Abort);
     pair.run_until(4.0, |_| false);
-    if lock(&pair.simulator().core().world).glance().gripping {
-        pair.order(Order::Release(cell_machine::device::gripper_types::Channels::Both));
-        pair.run_until(4.0, |_| false);
-    }
+    release_what_hangs(pair);
     let patient = stage.weather.has_gaps();
     arm_as_the_answer_says(pair, patient);
     pair.order(Order::Resume);
@@ -352,24 +349,6 @@ pub(super) fn after(pair: &mut Pair, stage: &Stage, seed: u64) -> Option<Code> {
         over(pair);
     }
     pair.reports().get(ended).map(|report| report.code)
-}
-
-/// A person arms; where the answer says that something may hang on the cups, the person looks, says that it
-/// does not, and arms again. A `patient` person, whose link may be silent, does so after any refusal.
-fn arm_as_the_answer_says(pair: &mut Pair, patient: bool) {
-    pair.take_replies();
-    let number = pair.order(Order::Arm);
-    pair.run_until(0.5, |_| false);
-    let refused = pair.take_replies().into_iter().find(|(of, reply)| *of == number && !reply.accepted);
-    let Some((_, reply)) = refused else { return };
-    let hangs = reply.message.contains("celld release --yes");
-    if hangs {
-        pair.order(Order::Release(cell_machine::device::gripper_types::Channels::Both));
-        pair.run_until(4.0, |_| false);
-    }
-    if hangs || patient {
-        pair.order(Order::Arm);
-    }
 }
 
 /// What a person does at the pendant after a stop.

@@ -7,7 +7,7 @@ use crate::device::robot_types::RobotCommand;
 use crate::supervisor::cell::Supervisor;
 use crate::supervisor::gates::GateClosed;
 use crate::supervisor::input::{Action, DeviceSnapshot};
-use crate::supervisor::mode::{Mode, PowerStep};
+use crate::supervisor::mode::Mode;
 use crate::supervisor::phase::{BringUp, JobRun, Phase};
 use crate::supervisor::reason::{alarm, say};
 use crate::supervisor::round::RoundFault;
@@ -130,13 +130,14 @@ impl Supervisor {
 
     /// One turn of the bring-up: requests what is missing, once.
     pub(crate) fn bring_up(&mut self, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
+        let switched_off = self.power_was_switched(devices);
         let (Phase::BringUp(bring_up), Some(robot)) = (&mut self.phase, devices.robot) else { return };
         if !self.mode.armed() {
             self.phase = self.after_bring_up();
             return;
         }
-        if self.mode.power_fell_to(PowerStep::of(robot.robot_mode, bring_up.requested.is_some())) {
-            // A person switched the arm off. Arming lapses on the next tick; no power is switched on again.
+        if switched_off {
+            // By a person. Arming lapses on the next tick; celld does not switch the power on again.
             return;
         }
         match robot.robot_mode {

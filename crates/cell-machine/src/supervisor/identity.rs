@@ -10,7 +10,7 @@ use crate::device::robot_types::{KnownRobot, RobotEvent, RobotIdentity};
 use crate::supervisor::cell::Supervisor;
 use crate::supervisor::reason::Reason;
 
-const ANEW: &str = "end celld, `celld calibrate`, start it again";
+const CALIBRATE_AGAIN: &str = "end celld, `celld calibrate`, start it again";
 
 impl Supervisor {
     /// The robot that the cell was commissioned for; nothing else may take its place.
@@ -43,7 +43,8 @@ impl Supervisor {
             return None;
         }
         let same_arm = (&before.model, &before.serial) == (&now.model, &now.serial);
-        let hint = if same_arm { "end celld, read what has changed, start it again" } else { ANEW };
+        let hint =
+            if same_arm { "end celld, read what has changed, start it again" } else { CALIBRATE_AGAIN };
         Some(Difference {
             what: match same_arm {
                 true => format!("the robot's software was changed: {now}; celld started with {before}"),
@@ -70,7 +71,8 @@ impl Supervisor {
             "another arm answers, or it was calibrated anew: its kinematics differ from those celld started \
                     with"
                 .to_string();
-        (dh != self.model.arm.kinematics.dh()).then_some(Difference { what, hint: ANEW })
+        let same_arm = dh == self.model.arm.kinematics.dh();
+        (!same_arm).then_some(Difference { what, hint: CALIBRATE_AGAIN })
     }
 }
 

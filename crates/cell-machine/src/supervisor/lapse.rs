@@ -58,7 +58,7 @@ impl Supervisor {
 
     /// The present step of the arm's power.
     fn power_step(&self, devices: &DeviceSnapshot) -> Option<PowerStep> {
-        let robot = devices.robot.filter(|_| devices.robot_fresh)?;
+        let robot = devices.robot?;
         let ordered = matches!(&self.phase, Phase::BringUp(bring_up) if bring_up.requested.is_some());
         PowerStep::of(robot.robot_mode, ordered)
     }

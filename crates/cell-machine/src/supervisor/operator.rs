@@ -169,6 +169,7 @@ impl Supervisor {
     /// and only a look can show it; a plan that is being made rests on what was there.
     pub(crate) fn armed_now(&mut self, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
         self.arms_when_open = false;
+        self.note_power(devices);
         (self.back.fell, self.back.last_stop, self.back.error) = (None, None, None);
         self.back.weak = None;
         self.seen = None;
@@ -253,6 +254,7 @@ impl Supervisor {
         }
         self.mode.disarm();
         self.arms_when_open = false;
+        self.note_power(devices);
         self.seen = None;
         let begun = match &self.phase {
             Phase::BringUp(_) => false,
@@ -386,6 +388,7 @@ impl Supervisor {
     ) {
         self.seen = None;
         self.arms_when_open = false;
+        self.note_power(devices);
         if self.moving() || self.mode.armed() || self.back.recovery.is_some() {
             let reason = Code::Released.because(
                 "the operator releases the vacuum",

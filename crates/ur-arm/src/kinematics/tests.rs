@@ -182,6 +182,18 @@ fn unwinding_keeps_to_the_range() {
     assert!(unwind(&Joints([-3.0; 6]), &near, (-1.0, 1.0)).is_none());
 }
 
+/// Parameters off by what a calibration leaves between an arm and its model.
+fn off_nominal(model: &ArmModel, rng: &mut rand_chacha::ChaCha8Rng) -> DhParameters {
+    let mut dh = model.dh;
+    for i in 0..6 {
+        dh.a[i] += rng.random_range(-5e-4..5e-4);
+        dh.d[i] += rng.random_range(-5e-4..5e-4);
+        dh.alpha[i] += rng.random_range(-1e-3..1e-3);
+        dh.theta[i] += rng.random_range(-1e-3..1e-3);
+    }
+    dh
+}
+
 /// Where two singularities meet the closed form of the nominal arm is far off; each of these poses was
 /// once without joints.
 #[test]
@@ -189,13 +201,7 @@ fn poses_at_two_singularities_have_joints_too() {
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
     let (mut tried, mut folded) = (0, 0);
     for model in ARM_MODELS {
-        let mut dh = model.dh;
-        for i in 0..6 {
-            dh.a[i] += rng.random_range(-5e-4..5e-4);
-            dh.d[i] += rng.random_range(-5e-4..5e-4);
-            dh.alpha[i] += rng.random_range(-1e-3..1e-3);
-            dh.theta[i] += rng.random_range(-1e-3..1e-3);
-        }
+        let mut dh = off_nominal(model, &mut rng);
         (dh.d[1], dh.d[2]) = (dh.d[1] + 0.7, dh.d[2] - 0.7);
         for _ in 0..300 {
             let mut q: [f64; 6] = std::array::from_fn(|_| rng.random_range(-3.1..3.1));
@@ -220,15 +226,7 @@ fn joints_of_a_calibrated_arm_are_found_again_beside_its_singularities() {
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(1);
     let (mut tried, mut missed) = (0, 0);
     for model in ARM_MODELS {
-        let mut dh = model.dh;
-        for i in 0..6 {
-            for length in [&mut dh.a, &mut dh.d] {
-                length[i] += rng.random_range(-5e-4..5e-4);
-            }
-            for angle in [&mut dh.alpha, &mut dh.theta] {
-                angle[i] += rng.random_range(-1e-3..1e-3);
-            }
-        }
+        let dh = off_nominal(model, &mut rng);
         let arm = Kinematics::of(&dh);
         for _ in 0..10_000 {
             let q = Joints(std::array::from_fn(|_| rng.random_range(-3.1..3.1)));
