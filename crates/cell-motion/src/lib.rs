@@ -6,10 +6,11 @@
 //! where it was. `put_down`: the way back with an object in the gripper. `slow`: the moves of a calibration.
 //! `reach`: where the arm can pick and place at all. `holding`: what the cups withstand. `bodies`: what the
 //! arm, its tool, its load and the cell are made of, and the check that none meets another. `way`: round
-//! them. `jog`: what a person does where there is none.
+//! them. `jog`: what a person does where there is none. `crossing`: ways on which blends are recorded.
 
 pub mod arm;
 pub mod bodies;
+pub mod crossing;
 pub mod cycle;
 pub mod cycle_time;
 pub mod holding;
