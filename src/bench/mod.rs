@@ -20,7 +20,7 @@ pub mod motion_model;
 pub mod planning;
 pub mod results;
 pub mod rtde;
-mod rtde_client;
+pub mod rtde_client;
 mod rtde_process;
 pub mod runner;
 pub mod script;

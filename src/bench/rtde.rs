@@ -234,7 +234,7 @@ fn command_to_motion(host: IpAddr) -> Result<Vec<u64>, String> {
     for command in 1..=COMMANDS {
         let (mut stood, mut requested_at) = (0, None);
         loop {
-            let values = client.next()?;
+            let values = client.values()?;
             let [Value::Uint64(step), Value::Vector6D(speed)] = values[..] else {
                 return Err("the simulator sent something else".to_owned());
             };

@@ -1,7 +1,8 @@
-//! Plain RTDE, dashboard and script clients over blocking sockets, for the benchmark.
+//! Plain RTDE, dashboard and script clients over blocking sockets, for benchmarks and `celld record`.
 //!
 //! In: an address and names of outputs. Out: values as they come, and counts of what was missed.
-//! Deliberately not the daemon's session: the benchmark must not wait for states that only the daemon needs.
+//! Deliberately not the daemon's session: a benchmark must not wait for states that only the daemon needs,
+//! and a recorder claims no inputs.
 
 use std::io::{Read, Write};
 use std::net::{IpAddr, SocketAddr, TcpStream};
@@ -9,7 +10,7 @@ use std::time::{Duration, Instant};
 use ur_wire::rtde::{Reply, Request, Splitter, Version};
 use ur_wire::rtde_values::{Leftover, Offer, Recipe, Value};
 
-/// Longest wait for anything from the simulator.
+/// Longest wait for anything from the controller.
 pub const PATIENCE: Duration = Duration::from_secs(20);
 
 /// Ports of the controller.
@@ -27,7 +28,7 @@ pub struct Client {
 }
 
 fn broken(what: &str) -> String {
-    format!("the simulator's RTDE connection: {what}")
+    format!("the RTDE connection: {what}")
 }
 
 impl Client {
@@ -90,7 +91,7 @@ impl Client {
     ///
     /// # Errors
     /// The connection broke.
-    pub fn next(&mut self) -> Result<Vec<Value>, String> {
+    pub fn values(&mut self) -> Result<Vec<Value>, String> {
         loop {
             if let Reply::Data { payload, .. } = self.reply(Version::V2)? {
                 let values = self.recipe.decode(&payload, Leftover::Refuse);
@@ -116,7 +117,7 @@ pub struct Seen {
 pub fn watch(client: &mut Client, end: Instant) -> Result<Seen, String> {
     let (mut seen, mut last) = (Seen::default(), None);
     while Instant::now() < end {
-        let values = client.next()?;
+        let values = client.values()?;
         let Some(Value::Uint64(step)) = values.first() else { return Err(broken("no control_step")) };
         seen.packages += 1;
         seen.lost += last.map_or(0, |last: u64| step.saturating_sub(last).saturating_sub(1));
@@ -130,7 +131,7 @@ pub fn watch(client: &mut Client, end: Instant) -> Result<Seen, String> {
 /// # Errors
 /// The connection broke.
 pub fn request(host: IpAddr, question: &str) -> Result<String, String> {
-    let said = |error: std::io::Error| format!("the simulator's dashboard: {error}");
+    let said = |error: std::io::Error| format!("the dashboard: {error}");
     let mut stream = TcpStream::connect(SocketAddr::new(host, DASHBOARD)).map_err(said)?;
     stream.set_read_timeout(Some(PATIENCE)).map_err(said)?;
     stream.write_all(format!("{question}\nquit\n").as_bytes()).map_err(said)?;
@@ -153,7 +154,7 @@ pub fn bring_up(host: IpAddr) -> Result<(), String> {
 /// # Errors
 /// The connection broke, or the program did not start.
 pub fn play(host: IpAddr, program: &str) -> Result<(), String> {
-    let said = |error: std::io::Error| format!("the simulator's primary interface: {error}");
+    let said = |error: std::io::Error| format!("the primary interface: {error}");
     let mut stream = TcpStream::connect(SocketAddr::new(host, PRIMARY)).map_err(said)?;
     stream.write_all(program.as_bytes()).map_err(said)?;
     wait_for("the program runs", || Ok(request(host, "running")? == "Program running: true"))

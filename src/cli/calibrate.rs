@@ -6,13 +6,16 @@
 //! after it was moved, `touches` records points that the tool's tip touched, which `table` ties to what the
 //! camera sees. Exit codes as everywhere.
 
+mod blends;
 pub mod camera;
 mod empty;
 mod fault;
 mod finish;
 mod round;
+mod stops;
 mod take;
 pub mod touch;
+mod trial;
 
 use crate::cli::daemon::{open_camera, open_shell, with_runtime};
 use crate::config::calibrated::{known_mount, lens_for, read_lens};
@@ -70,6 +73,12 @@ enum What {
     /// Pictures of the empty table from the look poses, for cameras without depth to compare with
     #[command(after_help = empty::HELP)]
     Empty(empty::EmptyArgs),
+    /// How this controller passes corners that are cut: the arm moves, celld records and judges it
+    #[command(after_help = blends::HELP)]
+    Blends(trial::TrialArgs),
+    /// How this arm stops: by order, without celld, by the dashboard; the arm moves, celld measures
+    #[command(after_help = stops::HELP)]
+    Stops(trial::TrialArgs),
     /// Record points of the table that the tool's tip touches; the arm is moved by hand, celld only reads it
     #[command(after_help = touch::HELP)]
     Touches(touch::TouchArgs),
@@ -128,6 +137,8 @@ pub fn run(args: &CalibrateArgs, stop: Arc<AtomicBool>) -> u8 {
         Some(What::Empty(args)) => empty_table(args, stop),
         Some(What::Camera(args)) => camera::run(args),
         Some(What::Touches(args)) => touch::run(args, stop),
+        Some(What::Blends(args)) => blends::run(args, stop),
+        Some(What::Stops(args)) => stops::run(args, stop),
     }
 }
 
@@ -272,7 +283,7 @@ async fn live(
     });
     shell.commission(nominal_model(config, &arm, &lens.model), false);
     let mut samples = Samples::new(&progress);
-    let order = RoundOrder { poses, room: config.calibration_box };
+    let order = RoundOrder::pictures(poses, config.calibration_box);
     shell.round(order, &mut samples, &stopped).await.map_err(|error| chain(&error))?;
     let samples = samples.into_vec();
     if let Some((recording, folder)) = recording.zip(record) {

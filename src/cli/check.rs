@@ -172,9 +172,12 @@ fn check_calibration(text: &str, source: &str) -> Result<(), String> {
             files::touches::Touches::parse(text, source).map(drop).map_err(reported)
         }
         Some(files::Kind::Round) => files::round::Round::parse(text, source).map(drop).map_err(reported),
+        Some(files::Kind::Blends) => {
+            files::blends::BlendRecording::parse(text, source).map(drop).map_err(reported)
+        }
         None => Err(format!(
             "{source}:1:1: no calibration file has these keys; it has `version`, `date` and one of \
-             `camera`, `hand_eye`, `table`, `touches`, `samples`"
+             `camera`, `hand_eye`, `table`, `touches`, `blends`, `samples`"
         )),
     }
 }

@@ -7,6 +7,7 @@
 
 use crate::cli::in_fleet::{Anew, Parts, Shared, fleet, is_to_start_disarmed, start_with, take_shared};
 use crate::cli::interrupt;
+use crate::config::blends::why_no_blends;
 use crate::config::calibrated::{measured, read_calibration};
 use crate::config::cell::CellConfig;
 use crate::config::empty::compare_with_empty;
@@ -256,9 +257,7 @@ async fn daemon(begin: Begin, anew: Anew, stop: Arc<AtomicBool>) -> Result<(), S
     }
     (model.held_before, model.cut_off) = (keeper.held_before(), keeper.cut_off());
     model.plans_before = keeper.plans_before();
-    for pose in blocked_poses(&config, &model) {
-        tracing::warn!("taught pose {pose}; the arm will not go there");
-    }
+    warn_of(&config, &model, &arm);
     let setup = perception_setup(&config, &measured, &arm, diagnostic_images)?;
     // Who watches would use up a recording.
     let watched = film.clone().filter(|_| !config.devices.camera.is_recording());
@@ -284,6 +283,16 @@ async fn daemon(begin: Begin, anew: Anew, stop: Arc<AtomicBool>) -> Result<(), S
         tracing::warn!("recording: {fault}");
     }
     ended
+}
+
+/// What an operator should know before anything moves.
+fn warn_of(config: &CellConfig, model: &CellModel, arm: &Arm) {
+    if let Some(why) = why_no_blends(config, &model.arm, arm) {
+        tracing::warn!("{why}");
+    }
+    for pose in blocked_poses(config, model) {
+        tracing::warn!("taught pose {pose}; the arm will not go there");
+    }
 }
 
 /// Lets the loop go first; simulated time that runs faster than real time would leave it no rest.

@@ -31,6 +31,7 @@ pub mod markers;
 pub mod open;
 pub mod plan;
 mod progress;
+pub mod record;
 pub mod replay;
 pub mod schema;
 pub mod shell;
@@ -71,6 +72,9 @@ enum Command {
     Simulate(simulate::SimulateArgs),
     /// Calibrate lens, camera mount and table, live or from recorded pictures
     Calibrate(calibrate::CalibrateArgs),
+    /// The arm's joints into a file, as the controller reports them; only listens
+    #[command(after_help = record::HELP)]
+    Record(record::RecordArgs),
     /// Markers found in a picture
     Detect(detect::DetectArgs),
     /// The table as it is now, as a goal file
@@ -140,6 +144,7 @@ pub fn main() -> ExitCode {
         Command::Sim(args) => ur_sim::command::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Calibrate(args) => calibrate::run(&args, stop),
+        Command::Record(args) => record::run(&args, &stop),
         Command::Detect(args) => detect::run(&args),
         Command::Capture(args) => capture::run(&args),
         Command::Markers(args) => markers::run(&args),

@@ -4,8 +4,9 @@
 //! one of them, where a calibration starts from it; the numbers that the daemon works with; files written.
 //! What is in them, and what fits together, is `cell_calibration::files`.
 
+use crate::config::blends::recorded_blends;
 use crate::config::cell::{CalibrationFiles, CellConfig};
-use crate::config::setup::{Measured, reference_markers};
+use crate::config::setup::{Measured, arm_model, reference_markers};
 use crate::jobs::utc;
 use cell_calibration::files::camera::CameraCalibration;
 use cell_calibration::files::hand_eye::{HandEyeCalibration, Provenance};
@@ -97,11 +98,13 @@ pub fn known_mount(config: &CellConfig, now: &Provenance) -> Result<HandEyeCalib
 /// The calibration was made with another arm.
 pub fn measured(config: &CellConfig, set: &CalibrationSet, arm: &Arm) -> Result<Measured, String> {
     set.check_arm(&config.calibration.hand_eye.display().to_string(), &arm.serial, &arm.checksum)?;
+    let model = arm_model(config, arm.dh, set.table.base_from_table);
     Ok(Measured {
         dh: arm.dh,
         base_from_table: set.table.base_from_table,
         mount: set.hand_eye.mount,
         camera: set.camera.model.clone(),
+        blends: config.simulation.is_some() || recorded_blends(config, &model, arm).is_ok(),
     })
 }
 

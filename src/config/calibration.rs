@@ -18,6 +18,9 @@ use rearrange::document::decode::{At, Decoder};
 use std::path::Path;
 use ur_arm::kinematics::{DhParameters, forward};
 
+/// Name of the file of recorded blends, beside that of the table.
+const BLENDS: &str = "blends.yaml";
+
 /// Least edge of a box in which poses are proposed, m: less leaves no room to turn in.
 const LEAST_EDGE_M: f64 = 0.05;
 
@@ -62,15 +65,24 @@ pub(super) fn check_board(decoder: &mut Decoder, parts: &CellParts, places: &Pla
 }
 
 pub(super) fn files(decoder: &mut Decoder, at: &At, folder: &Path) -> Option<CalibrationFiles> {
-    let fields = decoder.map(at, &["camera", "hand_eye", "table", "empty"])?;
+    let fields = decoder.map(at, &["camera", "hand_eye", "table", "empty", "blends"])?;
     let mut file = |key: &str| fields.required(key, decoder).and_then(|at| path(decoder, &at, folder));
     let (camera, hand_eye, table) = (file("camera"), file("hand_eye"), file("table"));
     let empty = match fields.optional("empty") {
         Some(at) => Some(path(decoder, &at, folder)?),
         None => None,
     };
-    let files = CalibrationFiles { camera: camera?, hand_eye: hand_eye?, table: table?, empty };
-    let names = [("camera", &files.camera), ("hand_eye", &files.hand_eye), ("table", &files.table)];
+    let blends = match fields.optional("blends") {
+        Some(at) => path(decoder, &at, folder)?,
+        None => table.as_ref()?.with_file_name(BLENDS),
+    };
+    let files = CalibrationFiles { camera: camera?, hand_eye: hand_eye?, table: table?, empty, blends };
+    let names = [
+        ("camera", &files.camera),
+        ("hand_eye", &files.hand_eye),
+        ("table", &files.table),
+        ("blends", &files.blends),
+    ];
     for (index, (key, file)) in names.iter().enumerate() {
         let earlier = names.iter().take(index).find(|(_, other)| other == file);
         if let (Some((other, _)), Some(at)) = (earlier, fields.optional(key)) {

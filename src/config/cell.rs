@@ -94,7 +94,7 @@ pub struct CellConfig {
 impl CellConfig {
     /// The round that a person orders at the page: the taught poses.
     pub fn calibration_round(&self) -> RoundOrder {
-        RoundOrder { poses: self.calibration_poses.clone(), room: self.calibration_box }
+        RoundOrder::pictures(self.calibration_poses.clone(), self.calibration_box)
     }
 
     /// Overlap that the goals of a job may have, m: three standard deviations of where the camera finds an
@@ -167,6 +167,8 @@ pub struct CalibrationFiles {
     pub table: PathBuf,
     /// Folder with pictures of the empty table, for cameras without depth.
     pub empty: Option<PathBuf>,
+    /// How this arm passes corners that are cut; the arm's joints are in the .csv beside it.
+    pub blends: PathBuf,
 }
 
 /// What the arm may do at most, and the heights of a pick-n-place.

@@ -1,5 +1,6 @@
 //! Checked configuration of the cell and of the simulator.
 
+pub mod blends;
 pub mod bodies;
 pub mod calibrated;
 mod calibration;

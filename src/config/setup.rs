@@ -47,6 +47,9 @@ pub struct Measured {
     pub mount: Mount,
     /// The camera's lens.
     pub camera: CameraModel,
+    /// Corners may be cut: the cell is simulated, or this arm's blends are recorded. Otherwise the arm stops
+    /// at corners, whatever `limits.blend_m` says.
+    pub blends: bool,
 }
 
 /// Why a configuration cannot be worked with, although each key is fine.
@@ -119,7 +122,10 @@ fn model_of(config: &CellConfig, measured: &Measured, objects: Vec<CellObject>) 
         plans_before: 0,
         cut_off: None,
         arm: arm_model(config, measured.dh, measured.base_from_table),
-        cycle: cycle_parameters(config),
+        cycle: match measured.blends {
+            true => cycle_parameters(config),
+            false => CycleParameters { blend: 0.0, ..cycle_parameters(config) },
+        },
         mount: measured.mount,
         look_poses: config.look_poses.clone(),
         frames_per_view: 2,
@@ -192,7 +198,8 @@ pub fn nominal_model(config: &CellConfig, arm: &Arm, lens: &CameraModel) -> Cell
         CameraMount::Fixed { base_from_camera, .. } => Mount::Fixed { base_from_camera: *base_from_camera },
     };
     let camera = lens.clone();
-    let measured = Measured { dh: arm.dh, base_from_table: config.base_from_table, mount, camera };
+    let measured =
+        Measured { dh: arm.dh, base_from_table: config.base_from_table, mount, camera, blends: true };
     model_of(config, &measured, Vec::new())
 }
 

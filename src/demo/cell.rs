@@ -119,6 +119,7 @@ pub fn cell_config(instance: &Instance, choice: &DemoChoice, out: &Path) -> Resu
             hand_eye: out.join("calibration/hand_eye.yaml"),
             table: out.join("calibration/table.yaml"),
             empty: None,
+            blends: out.join("calibration/blends.yaml"),
         },
         limits: LIMITS,
         tolerances: tolerances(),

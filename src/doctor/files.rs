@@ -4,8 +4,9 @@
 //! In: the checked configuration, the calibration set or the complaints about it, the arm where it is known.
 //! Out: lines. Pure.
 
+use crate::config::blends::recorded_blends;
 use crate::config::cell::CellConfig;
-use crate::config::setup::{Measured, cell_model};
+use crate::config::setup::{Measured, arm_model, cell_model};
 use crate::doctor::{Area, Line};
 use crate::jobs::utc;
 use cell_calibration::files::set::CalibrationSet;
@@ -14,6 +15,9 @@ use cell_machine::supervisor::model::CellModel;
 use cell_motion::bodies::Room;
 use cell_motion::bodies::sweep::{Meeting, Sweep, Zone};
 use cell_values::units::Joints;
+
+/// A cell that may be so many times as fast as its recording is worth another one.
+const MUCH_FASTER: f64 = 1.3;
 
 /// A calibration older than this is worth a new look, s.
 const OLD_S: f64 = 90.0 * 86_400.0;
@@ -88,6 +92,38 @@ pub fn fits(config: &CellConfig, set: &CalibrationSet, arm: &Arm) -> Line {
         Ok(()) => ok("arm", format!("the calibration was made with this arm ({})", arm.serial)),
         Err(complaint) => problem("arm", complaint, "`celld calibrate` with this arm (docs/calibration.md)"),
     }
+}
+
+/// Whether the arm cuts corners.
+pub fn blends(config: &CellConfig, measured: &Measured, arm: &Arm) -> Line {
+    if config.limits.blend_m <= 0.0 {
+        return ok("blends", "none: `limits.blend_m` is 0");
+    }
+    if config.simulation.is_some() {
+        return ok("blends", "as `limits.blend_m` has them: a simulation needs no recording");
+    }
+    let model = arm_model(config, measured.dh, measured.base_from_table);
+    let recorded = match recorded_blends(config, &model, arm) {
+        Ok(recorded) => recorded,
+        Err(why) => {
+            let hint = "`celld calibrate blends` records how this controller passes corners; until then the \
+                        arm stops at each";
+            return Line::note(Area::Files, "blends", why, hint);
+        }
+    };
+    let (fastest_m_s, off_mm) = (recorded.fastest_m_s(), 1e3 * recorded.off_m());
+    let ways = recorded.passages.len();
+    let found = format!(
+        "recorded {}: {ways} ways at up to {fastest_m_s:.2} m/s, at most {off_mm:.1} mm off",
+        recorded.date
+    );
+    // What is allowed to the straight parts; transfers are slower or faster by where they lead.
+    let now_m_s = config.limits.tool_speed;
+    if now_m_s > MUCH_FASTER * fastest_m_s {
+        let hint = "the limits have grown since: record again with `celld calibrate blends`";
+        return Line::note(Area::Files, "blends", format!("{found}; now up to {now_m_s:.2} m/s"), hint);
+    }
+    ok("blends", found)
 }
 
 /// The taught poses, with the bodies of the cell round them and nothing on the table.

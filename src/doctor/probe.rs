@@ -45,6 +45,9 @@ pub fn examine(name: &str, config: &CellConfig, state: &StateFolder, say: &mut d
         known = calibrated(config, set, arm);
     }
     lines.extend(known.iter().flat_map(|measured| files::taught_poses(config, measured)));
+    if let (Some(measured), Some(arm)) = (&known, &arm) {
+        lines.push(files::blends(config, measured, arm));
+    }
 
     if daemon {
         lines.extend([Area::Gripper, Area::Camera].map(in_use));
@@ -69,8 +72,9 @@ fn in_use(area: Area) -> Line {
 /// Which arm it is, if all of it is known.
 fn arm_of(robot: &RobotFacts) -> Option<Arm> {
     let primary = robot.primary.as_ref().ok()?;
-    let serial = robot.dashboard.as_ref().ok()?.serial.clone()?;
-    Some(Arm { dh: primary.dh?, checksum: primary.checksum.clone(), serial })
+    let dashboard = robot.dashboard.as_ref().ok()?;
+    let (serial, software) = (dashboard.serial.clone()?, dashboard.version.clone()?);
+    Some(Arm { dh: primary.dh?, checksum: primary.checksum.clone(), serial, software })
 }
 
 /// The numbers the daemon would work with. A calibration of another arm has its own line; its numbers say

@@ -277,7 +277,8 @@ impl Pair {
     /// Has a calibration round carried out, as `celld calibrate` does; its pictures are with the camera.
     pub fn visit(&mut self, order: RoundOrder) {
         self.round_over = None;
-        self.trace.line(self.frame, || format!("round of {} poses", order.poses.len()));
+        self.trace
+            .line(self.frame, || format!("round of {} poses", order.poses.len() + order.crossings.len()));
         self.due.push(Event::Round(Box::new(order)));
     }
 

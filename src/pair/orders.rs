@@ -394,7 +394,7 @@ fn parks(pair: &mut Pair, stage: &Stage) -> bool {
 
 fn rounds(pair: &mut Pair, stage: &Stage) -> bool {
     let poses = [stage.model.look_poses.clone(), vec![stage.model.park]].concat();
-    pair.visit(RoundOrder { poses, room: None });
+    pair.visit(RoundOrder::pictures(poses, None));
     shows(pair, "calibration pose 2") && !pair.run_until(0.2, |_| false)
 }
 

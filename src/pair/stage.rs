@@ -83,7 +83,7 @@ impl Stage {
             cy: reported.cy,
             distortion: reported.distortion,
         };
-        let measured = Measured { dh: sim.controller.dh, base_from_table, mount, camera };
+        let measured = Measured { dh: sim.controller.dh, base_from_table, mount, camera, blends: true };
         let model = cell_model(config, &measured).map_err(|error: SetupError| error.to_string())?;
         let scene = scene(config, &measured).map_err(|error| chain(&error))?;
         let SimConfig { controller, world, camera, .. } = sim;

@@ -304,7 +304,7 @@ fn a_calibration_round_ends_disarmed_whatever_happens() {
     ] {
         let mut pair = Pair::new(stage.clone(), Choice::of(5)).unwrap();
         assert!(bring_up(&mut pair));
-        pair.visit(RoundOrder { poses: poses.clone(), room: None });
+        pair.visit(RoundOrder::pictures(poses.clone(), None));
         let second =
             |pair: &Pair| pair.status().is_some_and(|now| matches!(now.doing, Doing::Visiting(2, _)));
         assert!(pair.run_until(120.0, second), "{:?}", pair.notices());
@@ -335,7 +335,7 @@ fn a_round_that_is_aborted_at_a_picture_leaves_the_arm_where_it_is() {
     let stage = stage(6, SightKind::Corners).unwrap();
     let mut pair = Pair::new(stage.clone(), Choice::of(6)).unwrap();
     assert!(bring_up(&mut pair));
-    pair.visit(RoundOrder { poses: stage.model.look_poses.clone(), room: None });
+    pair.visit(RoundOrder::pictures(stage.model.look_poses.clone(), None));
     let q = |pair: &Pair| pair.simulator().core().robot.controller().core.mover.q();
     let at_first = |pair: &Pair| q(pair).max_difference(&stage.model.look_poses[0]) < 1e-3;
     assert!(pair.run_until(120.0, at_first), "{:?}", pair.notices());
@@ -359,7 +359,7 @@ fn a_pose_outside_the_calibration_box_is_refused_and_the_arm_stays() {
     let at = pair.simulator().core().robot.controller().core.base_from_flange().translation.vector;
     let [low_m, high_m] = [-0.01, 0.01].map(|by| [at.x + by, at.y + by, at.z + by]);
     let room = Some(CalibrationBox { low_m, high_m });
-    pair.visit(RoundOrder { poses: stage.model.look_poses.clone(), room });
+    pair.visit(RoundOrder::pictures(stage.model.look_poses.clone(), room));
     assert!(pair.run_until(60.0, |pair| pair.round_over().is_some()), "{:?}", pair.notices());
     let reported = pair.round_over().unwrap().as_ref().map_err(|error| chain(error)).unwrap_err();
     assert!(

@@ -35,6 +35,7 @@ mod sights;
 mod sim_config;
 mod slow_disk;
 mod spoilt_files;
+mod step_zero;
 mod third_party;
 #[cfg(feature = "video")]
 mod videos;

@@ -254,7 +254,7 @@ fn of_the_empty_table(stage: &Stage) -> Result<Vec<(Image, Isometry3<f64>)>, Str
     let choice = Choice { eye: SightKind::Pictures, ..Choice::of(2) };
     let mut pair = Pair::new(bare, choice).map_err(|error| error.to_string())?;
     assert!(bring_up(&mut pair), "the cell comes up");
-    pair.visit(RoundOrder { poses: stage.model.look_poses.clone(), room: None });
+    pair.visit(RoundOrder::pictures(stage.model.look_poses.clone(), None));
     assert!(pair.run_until(300.0, |pair| pair.round_over().is_some()), "{:?}", pair.notices());
     assert_eq!(pair.round_over(), Some(&Ok(())));
     assert_eq!(pair.breaches(), []);

@@ -2,12 +2,14 @@
 //!
 //! In: YAML (or JSON) text. Out: checked values, or every complaint with line and column; and the text of a
 //! new file. Distinguished by their top-level key: `camera` (the lens), `hand_eye` (where the camera sits),
-//! `table` (table under the robot). Lengths in m, angles in rad, rotations as unit quaternions [x, y, z, w].
-//! Nothing measured has a default, and a rotation that is none, or a camera half a metre off the flange, is
-//! refused. Pure: files are opened by the caller.
+//! `table` (table under the robot), `blends` (how the arm passes corners). Lengths in m, angles in rad,
+//! rotations as unit quaternions [x, y, z, w]. Nothing measured has a default, and a rotation that is none,
+//! or a camera half a metre off the flange, is refused. Pure: files are opened by the caller.
 
+pub mod blends;
 pub mod camera;
 pub mod hand_eye;
+pub mod joints;
 pub mod round;
 pub mod set;
 pub mod table;
@@ -18,7 +20,7 @@ use rearrange::document::decode::{At, Decoder, Fields};
 use rearrange::document::tree::Node;
 use rearrange::document::write::Out;
 
-/// The version of all three formats.
+/// The version of all formats.
 pub const VERSION: i64 = 1;
 
 /// Kinds of calibration file.
@@ -34,6 +36,8 @@ pub enum Kind {
     Touches,
     /// A recorded round.
     Round,
+    /// Recorded blends.
+    Blends,
 }
 
 /// Gives the kind by the top-level key, `None` if it is no calibration file.
@@ -43,6 +47,7 @@ pub fn kind(top: &Node) -> Option<Kind> {
         ("camera", Kind::Camera),
         ("hand_eye", Kind::HandEye),
         ("table", Kind::Table),
+        ("blends", Kind::Blends),
         ("touches", Kind::Touches),
         ("samples", Kind::Round),
     ];

@@ -5,7 +5,7 @@
 //! late is known as such.
 
 use crate::device::gripper_types::{ModbusFailure, ModbusRequest};
-use crate::device::robot_types::Link;
+use crate::device::robot_types::{Link, RobotIdentity};
 use crate::intake::{Origin, Unreachable};
 use crate::orders::{Order, Reply};
 use crate::supervisor::input::{CameraFault, Notice, PlanAnswer, PlanRequest, Record};
@@ -166,4 +166,15 @@ pub struct Arm {
     pub checksum: String,
     /// Serial number.
     pub serial: String,
+    /// Software version, as the dashboard reports it.
+    #[serde(default)]
+    pub software: String,
+}
+
+impl Arm {
+    /// From what the dashboard reports and the primary interface sends.
+    pub fn new(robot: &RobotIdentity, dh: DhParameters, checksum: &str) -> Arm {
+        let (serial, software) = (robot.serial.clone(), robot.version.clone());
+        Arm { dh, checksum: checksum.to_string(), serial, software }
+    }
 }

@@ -492,7 +492,7 @@ impl Machine {
         if identity.reported || !known {
             return;
         }
-        let arm = Arm { dh: *dh, checksum: checksum.clone(), serial: robot.serial.clone() };
+        let arm = Arm::new(robot, *dh, checksum);
         self.identity.reported = true;
         self.effects.push_back(Effect::Notify(News::Identified(Box::new(arm))));
     }

@@ -151,7 +151,7 @@ async fn calibrate(
         film: None,
     });
     shell.commission(nominal_model(config, &arm, &lens), false);
-    let round = RoundOrder { poses: config.calibration_poses.clone(), room: config.calibration_box };
+    let round = RoundOrder::pictures(config.calibration_poses.clone(), config.calibration_box);
     let progress: &dyn Fn(&Stop) =
         &|stop| eprintln!("  pose {}: {} markers", stop.pose, stop.sample.detections.len());
     let mut samples = Samples::new(progress);
@@ -168,6 +168,7 @@ async fn calibrate(
         base_from_table: calibration.base_from_table,
         mount: Mount::Flange { flange_from_camera: calibration.flange_from_camera },
         camera: lens,
+        blends: true,
     };
     Ok((calibration, measured))
 }

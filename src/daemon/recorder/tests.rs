@@ -253,7 +253,12 @@ fn a_broken_recording_is_made_whole_at_the_next_start() {
 /// A cell as it is drawn, with the arm's tool straight down over the table.
 fn drawn_cell() -> Drawing {
     let config = load_cell(&Path::new(env!("CARGO_MANIFEST_DIR")).join("config/cell.yaml")).unwrap();
-    let arm = Arm { dh: DhParameters::UR5E, checksum: String::new(), serial: String::new() };
+    let arm = Arm {
+        dh: DhParameters::UR5E,
+        checksum: String::new(),
+        serial: String::new(),
+        software: String::new(),
+    };
     let lens = CameraModel {
         serial: String::new(),
         fx: 640.0,

@@ -46,6 +46,7 @@ pub fn keep(set: &CalibrationSet, files: &CalibrationFiles, to: &Kept) -> Result
                 hand_eye: there("hand_eye.yaml"),
                 table: there("table.yaml"),
                 empty: None,
+                blends: there("blends.yaml"),
             };
             write_calibration(set, &beside)
                 .map_err(|error| format!("nothing was kept: {}", chain(&error)))?;
@@ -87,6 +88,7 @@ mod tests {
             hand_eye: own("hand_eye.yaml"),
             table: own("table.yaml"),
             empty: None,
+            blends: own("blends.yaml"),
         };
         std::fs::create_dir(folder.path().join("own")).unwrap();
         std::fs::write(&files.table, "the one before").unwrap();

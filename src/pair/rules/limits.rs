@@ -63,9 +63,10 @@ impl Limits {
         Limits { limits, flange_from_tool, taught, round: None, disturbed: 0 }
     }
 
-    /// A calibration round is ordered; without an order it is the taught one.
+    /// A calibration round is ordered; without an order it is the taught one. Crossings are as fast as work.
     pub fn round_begins(&mut self, order: Option<&RoundOrder>) {
-        self.round = Some(Round { room: order.unwrap_or(&self.taught).room, tool: None });
+        let order = order.unwrap_or(&self.taught);
+        self.round = order.crossings.is_empty().then_some(Round { room: order.room, tool: None });
     }
 
     /// It is over, or forgotten with its daemon.

@@ -378,7 +378,7 @@ fn wrist_turned() -> Plant {
 }
 
 fn look_round(stage: &Stage, room: Option<CalibrationBox>) -> RoundOrder {
-    RoundOrder { poses: stage.model.look_poses.clone(), room }
+    RoundOrder::pictures(stage.model.look_poses.clone(), room)
 }
 
 fn round(pair: &mut Pair, stage: &Stage) {

@@ -2,6 +2,8 @@
 //!
 //! What the supervisor does with it is in `visits`.
 
+use cell_motion::crossing::Crossing;
+use cell_motion::path::PathFault;
 use cell_motion::slow::{CalibrationBox, SlowFault};
 use cell_values::units::Joints;
 use serde::{Deserialize, Serialize};
@@ -13,6 +15,27 @@ pub struct RoundOrder {
     pub poses: Vec<Joints>,
     /// Where the flange stays.
     pub room: Option<CalibrationBox>,
+    /// Ways through corners that are cut, after the last pose, at the speeds of the configuration. The arm
+    /// goes slowly to where each begins.
+    #[serde(default)]
+    pub crossings: Vec<Crossing>,
+}
+
+impl RoundOrder {
+    /// Pictures from these poses.
+    pub fn pictures(poses: Vec<Joints>, room: Option<CalibrationBox>) -> RoundOrder {
+        RoundOrder { poses, room, crossings: Vec::new() }
+    }
+
+    /// Crossings alone.
+    pub fn crossings(crossings: Vec<Crossing>) -> RoundOrder {
+        RoundOrder { poses: Vec::new(), room: None, crossings }
+    }
+
+    /// The crossing that is visit number `at`, counted from 0 with the poses.
+    pub(crate) fn crossing(&self, at: usize) -> Option<&Crossing> {
+        self.crossings.get(at.checked_sub(self.poses.len())?)
+    }
 }
 
 /// Why a round ended without all its pictures.
@@ -32,6 +55,9 @@ pub enum RoundFault {
     /// A pose cannot be visited.
     #[error(transparent)]
     Move(#[from] SlowFault),
+    /// A crossing cannot be carried out.
+    #[error("a way through cut corners")]
+    Crossing(#[source] PathFault),
     /// What stopped the robot.
     #[error("the round ended, or was not begun: {0}")]
     Robot(String),
@@ -51,6 +77,6 @@ pub(crate) struct Round {
 impl Round {
     /// Number of the pose, from 1, and how many there are.
     pub fn progress(&self) -> (usize, usize) {
-        (self.at + 1, self.order.poses.len())
+        (self.at + 1, self.order.poses.len() + self.order.crossings.len())
     }
 }

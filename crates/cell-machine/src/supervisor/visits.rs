@@ -1,4 +1,5 @@
-//! A calibration round: slow moves to given poses, one picture at each.
+//! A calibration round: slow moves to given poses, one picture at each; or ways through cut corners, at the
+//! speeds of the configuration, for a recorder.
 //!
 //! In: the poses and the taught box; the order to begin is the operator's leave to move (design, section
 //! 7, rule 1, class *calibrate*). `celld calibrate` hands poses over and arms by it; a person at the page
@@ -16,8 +17,13 @@ use crate::supervisor::mode::Mode;
 use crate::supervisor::phase::{Phase, Visit};
 use crate::supervisor::reason::say;
 use crate::supervisor::round::{Round, RoundFault, RoundOrder};
+use cell_motion::crossing::Crossing;
 use cell_motion::slow::slow_move;
 use cell_values::time::{Duration, Timestamp};
+use cell_values::units::Joints;
+
+/// An arm within this of the start of a crossing, or of its end, is there, rad.
+const AT_START_RAD: f64 = 5e-3;
 
 /// The arm is at rest for this long before a picture.
 const SETTLE: Duration = Duration::from_millis(500);
@@ -110,6 +116,9 @@ impl Supervisor {
     /// Sends the arm to the next pose; after the last one the round is over.
     pub(crate) fn begin_visit(&mut self, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
         let (Some(round), Some(robot)) = (&self.round, devices.robot) else { return };
+        if let Some(crossing) = round.order.crossing(round.at).copied() {
+            return self.begin_crossing(robot.q, crossing, out);
+        }
         let Some(target) = round.order.poses.get(round.at).copied() else {
             return self.end_round(Ok(()), out);
         };
@@ -124,6 +133,34 @@ impl Supervisor {
         }
     }
 
+    /// Sends the arm slowly to where the crossing begins, or on it, if it stands there.
+    fn begin_crossing(&mut self, q: Joints, crossing: Crossing, out: &mut Vec<Action>) {
+        let (arm, over) = (&self.model.arm, self.unseen_room());
+        let pose = self.round.as_ref().map_or(0, |round| round.at + 1);
+        let path = if q.max_difference(&crossing.start) > AT_START_RAD {
+            slow_move(arm, None, &over, pose, &q, crossing.start).map_err(RoundFault::Move)
+        } else {
+            let path = crossing.path(arm, &q, &self.model.cycle, &over, self.hold());
+            path.map_err(RoundFault::Crossing)
+        };
+        match path {
+            Ok(path) => {
+                out.push(Action::Robot(RobotCommand::Stream(path)));
+                self.enter(Phase::Visit(Visit::Moving), POSE_WITHIN);
+            }
+            Err(fault) => self.end_round(Err(fault), out),
+        }
+    }
+
+    /// The arm rests where a crossing begins or ends.
+    fn crossing_rests(&mut self, q: &Joints) {
+        let Some(round) = &mut self.round else { return };
+        if round.order.crossing(round.at).is_some_and(|at| q.max_difference(&at.end) <= AT_START_RAD) {
+            round.at += 1;
+        }
+        self.phase = Phase::Ready;
+    }
+
     /// While settling: requests the picture once the arm has been at rest long enough.
     pub(crate) fn watch_visit(&mut self, now: Timestamp, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
         let Phase::Visit(Visit::Settling { rest }) = &mut self.phase else { return };
@@ -131,6 +168,8 @@ impl Supervisor {
         let rested = rest.note(robot.received, &robot.q);
         if rested < SETTLE {
             rest.report(now).into_iter().for_each(|why| say(out, why));
+        } else if self.round.as_ref().is_some_and(|round| round.order.crossing(round.at).is_some()) {
+            self.crossing_rests(&robot.q);
         } else {
             let pose = self.round.as_ref().map_or(0, |round| round.at + 1);
             let base_from_flange = self.model.arm.kinematics.forward(&robot.q);

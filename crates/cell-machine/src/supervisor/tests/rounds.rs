@@ -11,7 +11,7 @@ use crate::supervisor::status::Doing;
 pub(super) fn round_under_way() -> Bench {
     let mut bench = Bench::new();
     let target = Joints([-1.5, -1.6, 1.9, -1.9, -1.57, 0.0]);
-    bench.feed(Input::Round(Box::new(RoundOrder { poses: vec![target], room: None })));
+    bench.feed(Input::Round(Box::new(RoundOrder::pictures(vec![target], None))));
     assert_eq!(streams(&bench.ticks(20)), 1);
     bench
 }
@@ -39,7 +39,7 @@ fn a_calibration_round_keeps_off_what_may_lie_on_the_table() {
         let mut model = model();
         model.cycle.tallest = tallest;
         bench.cell = Supervisor::new(model, 7);
-        let round = RoundOrder { poses: vec![target], room: None };
+        let round = RoundOrder::pictures(vec![target], None);
         let mut all = bench.feed(Input::Round(Box::new(round)));
         all.extend(bench.ticks(20));
         let refused = all.iter().any(|action| matches!(action, Action::RoundOver(Err(RoundFault::Move(_)))));
@@ -65,7 +65,7 @@ fn a_job_that_comes_during_a_round_waits_when_the_round_is_stopped() {
     ];
     for (what, end) in ends {
         let mut bench = Bench::new();
-        bench.feed(Input::Round(Box::new(RoundOrder { poses: vec![target], room: None })));
+        bench.feed(Input::Round(Box::new(RoundOrder::pictures(vec![target], None))));
         bench.ticks(20);
         bench.job(false);
         let ended = end(&mut bench);
@@ -82,7 +82,7 @@ fn a_job_that_comes_during_a_round_waits_when_the_round_is_stopped() {
 fn an_abort_in_a_round_ends_the_job_that_came_meanwhile() {
     let target = Joints([-1.5, -1.6, 1.9, -1.9, -1.57, 0.0]);
     let mut bench = Bench::new();
-    bench.feed(Input::Round(Box::new(RoundOrder { poses: vec![target], room: None })));
+    bench.feed(Input::Round(Box::new(RoundOrder::pictures(vec![target], None))));
     bench.ticks(20);
     bench.job(false);
     let said = format!("{:?}", bench.feed(order(Order::Abort)));
@@ -94,7 +94,7 @@ fn an_abort_in_a_round_ends_the_job_that_came_meanwhile() {
 fn a_job_waits_also_when_the_round_never_got_under_way() {
     let target = Joints([-1.5, -1.6, 1.9, -1.9, -1.57, 0.0]);
     let mut bench = Bench::new();
-    bench.feed(Input::Round(Box::new(RoundOrder { poses: vec![target], room: None })));
+    bench.feed(Input::Round(Box::new(RoundOrder::pictures(vec![target], None))));
     bench.robot.remote_control = Some(false);
     bench.ticks(3);
     bench.job(false);
@@ -127,7 +127,7 @@ fn a_calibration_round_is_ordered_in_an_armed_cell_that_rests() {
     let target = Joints([-1.5, -1.6, 1.9, -1.9, -1.57, 0.0]);
     let with_round = || {
         let mut bench = Bench::new();
-        let round = RoundOrder { poses: vec![target], room: None };
+        let round = RoundOrder::pictures(vec![target], None);
         bench.cell = Supervisor::new(CellModel { round, ..model() }, 7);
         bench
     };
@@ -178,7 +178,7 @@ fn a_calibration_round_is_ordered_in_an_armed_cell_that_rests() {
 
 #[test]
 fn no_calibration_round_begins_where_an_operator_could_not_arm() {
-    let round = || Input::Round(Box::new(RoundOrder { poses: vec![HOME], room: None }));
+    let round = || Input::Round(Box::new(RoundOrder::pictures(vec![HOME], None)));
     let over = |actions: &[Action]| {
         let mut ends = actions.iter().filter_map(|action| match action {
             Action::RoundOver(result) => Some(result.clone()),
