@@ -52,9 +52,14 @@ pub(super) fn check_line(bytes: &[u8], found: &mut Found) {
     }
 }
 
+/// How newer software sets a payload, and how the program has it.
+const GRADUALLY: &str = "set_target_payload(v0, [v1, v2, v3], [0, 0, 0, 0, 0, 0], 0.1)";
+const AT_ONCE: &str = "set_payload(v0, [v1, v2, v3])";
+
 /// The rest of a text from where it is not the program any more; `None` where all of it is.
 fn first_difference(text: &str) -> Option<String> {
-    let mut rest = text;
+    let text = text.replace(GRADUALLY, AT_ONCE);
+    let mut rest = text.as_str();
     let mut template = PROGRAM;
     loop {
         let next = PLACES.iter().filter_map(|place| Some((template.find(place)?, place.len()))).min();

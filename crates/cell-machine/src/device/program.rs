@@ -3,11 +3,19 @@
 //! In: the template (hardware/ur5e/celld_program.script), a [`Nonce`], the watchdog's number of frames. Out:
 //! the text to upload and the program's name. Only checked integers are put into the text, never a string.
 
+use crate::device::software::{changes_payload_gradually, version_of};
 use serde::{Deserialize, Serialize};
 use ur_wire::bytes::cut_text;
 
 /// The template that celld comes with.
 pub const PROGRAM_TEXT: &str = include_str!("../../../../hardware/ur5e/celld_program.script");
+
+/// How the template sets a payload: at once, on every controller.
+const PAYLOAD_AT_ONCE: &str = "set_payload(v0, [v1, v2, v3])";
+
+/// The same over 0.1 s, where the software can: the arm does not jerk under a heavy object. Nobody has
+/// measured how long is best; it is less than gripping or releasing takes.
+const PAYLOAD_GRADUALLY: &str = "set_target_payload(v0, [v1, v2, v3], [0, 0, 0, 0, 0, 0], 0.1)";
 
 /// Frames (2 ms) without a heartbeat after which the program stops the arm: 200 ms.
 pub const WATCHDOG_FRAMES: u32 = 100;
@@ -75,9 +83,19 @@ impl ProgramTemplate {
         }
     }
 
-    /// The text to upload.
+    /// The text to upload, for every controller.
     pub fn render(&self, nonce: Nonce) -> String {
         self.text.replace("{{NONCE}}", &nonce.number().to_string())
+    }
+
+    /// The same for a controller with this software (as its dashboard reports it), if that is known: what
+    /// newer software does better is used.
+    pub fn render_for(&self, nonce: Nonce, software: Option<&str>) -> String {
+        let text = self.render(nonce);
+        match software.and_then(version_of).is_some_and(changes_payload_gradually) {
+            true => text.replace(PAYLOAD_AT_ONCE, PAYLOAD_GRADUALLY),
+            false => text,
+        }
     }
 }
 
@@ -102,6 +120,22 @@ mod tests {
         let column_0 = text.lines().filter(|line| !line.starts_with("  ") && !line.is_empty()).count();
         assert_eq!(column_0, 2, "only the first and the last line may start in column 0");
         assert!(text.lines().all(|line| line.is_ascii()));
+    }
+
+    #[test]
+    fn a_payload_changes_gradually_where_the_software_can() {
+        let template = ProgramTemplate::new(PROGRAM_TEXT, WATCHDOG_FRAMES).unwrap();
+        let text = |software| template.render_for(Nonce::new(1), software);
+        for old in [None, Some("URSoftware 5.9.4.1031110"), Some("URSoftware"), Some("")] {
+            assert!(
+                text(old).contains(PAYLOAD_AT_ONCE) && !text(old).contains("set_target_payload"),
+                "{old:?}"
+            );
+        }
+        for new in ["URSoftware 5.10.0.1 (Jan 01 2021)", "URSoftware 5.26.0.1234567", "10.12.0"] {
+            assert!(text(Some(new)).contains(PAYLOAD_GRADUALLY), "{new}");
+            assert!(!text(Some(new)).contains(PAYLOAD_AT_ONCE), "{new}");
+        }
     }
 
     #[test]

@@ -167,7 +167,7 @@ pub const TABLE: &[Entry] = entries![
     // Tool and installation.
     Real set_tcp(pose; tcp_name) "";
     Real set_payload(m; cog) "";
-    Modelled set_target_payload(m, cog; inertia, transition_time) "at once, not over the transition time";
+    Modelled set_target_payload(m, cog; inertia, transition_time) "in equal steps over the transition time, and reported so";
     Real set_payload_mass(m) "";
     Real set_payload_cog(CoG) "";
     Real get_target_payload() "";

@@ -36,6 +36,15 @@ const MAX_MESSAGES: usize = 1000;
 /// Braking of moves whose program went away, rad/s2.
 pub(super) const DEFAULT_STOP: f64 = 4.0;
 
+/// A payload that changes gradually.
+#[derive(Clone, Debug)]
+pub(super) struct PayloadChange {
+    from: Payload,
+    to: Payload,
+    frame: u32,
+    frames: u32,
+}
+
 /// The tool as set in the controller.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Payload {
@@ -99,6 +108,8 @@ pub struct Core {
     pub(super) watchdogs: Vec<Watchdog>,
     /// How deep the arm was last where its safety system does not let it be, m.
     pub(super) intrusion_m: f64,
+    /// The payload on its way to another.
+    pub(super) payload_change: Option<PayloadChange>,
     /// The conveyor that is tracked.
     pub(super) conveyor: Option<Conveyor>,
     /// Error code and reason of a protective stop that this frame ends with.
@@ -141,6 +152,7 @@ impl Core {
             orphaned: false,
             watchdogs: Vec::new(),
             intrusion_m: 0.0,
+            payload_change: None,
             conveyor: None,
             stop_requested: None,
             config,
@@ -150,6 +162,42 @@ impl Core {
         core.set_tcp(core.config.tcp);
         core.refresh();
         core
+    }
+
+    /// The payload goes to this one over so many seconds; at once in none.
+    pub(super) fn change_payload(&mut self, to: Payload, seconds: f64) {
+        let frames = (seconds / FRAME_SECONDS).round() as u32;
+        let from = self.payload.clone();
+        self.payload_change = (frames > 0).then(|| PayloadChange { from, to: to.clone(), frame: 0, frames });
+        if frames == 0 {
+            self.payload = to;
+        }
+    }
+
+    /// The payload has this mass, whatever a program has set, kg.
+    pub(crate) fn payload_is(&mut self, mass_kg: f64) {
+        (self.payload_change, self.payload.mass) = (None, mass_kg);
+    }
+
+    /// One frame of a payload that changes.
+    pub(super) fn payload_frame(&mut self) {
+        let Some(change) = &mut self.payload_change else { return };
+        change.frame += 1;
+        let share = f64::from(change.frame) / f64::from(change.frames);
+        let (from, to) = (&change.from, &change.to);
+        let between = |one: f64, other: f64| one + share * (other - one);
+        self.payload = match share < 1.0 {
+            true => Payload {
+                mass: between(from.mass, to.mass),
+                centre: std::array::from_fn(|axis| between(from.centre[axis], to.centre[axis])),
+                inertia: std::array::from_fn(|k| between(from.inertia[k], to.inertia[k])),
+                gravity: self.payload.gravity,
+            },
+            false => Payload { gravity: self.payload.gravity, ..to.clone() },
+        };
+        if share >= 1.0 {
+            self.payload_change = None;
+        }
     }
 
     /// Controller time, s.

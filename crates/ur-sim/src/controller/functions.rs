@@ -3,7 +3,7 @@
 //!
 //! In: calls from running programs. Out: values, waits, or the message of a runtime exception.
 
-use crate::controller::core::{Core, DEFAULT_STOP};
+use crate::controller::core::{Core, DEFAULT_STOP, Payload};
 use crate::controller::modes::STOP_BY_PROGRAM_CODE;
 use crate::controller::registers::Input;
 use crate::controller::watchdog::{Watchdog, WatchdogAction};
@@ -215,6 +215,7 @@ fn tool(core: &mut Core, call: &Call<'_>) -> Option<Result<Value, String>> {
         }),
         "set_payload" | "set_target_payload" | "set_payload_mass" => set_payload(core, call),
         "set_payload_cog" => centre(call, 0).map(|centre| {
+            core.payload_change = None;
             core.payload.centre = centre;
             core.payload.inertia = [0.0; 6];
             zero_sensor(core);
@@ -247,6 +248,9 @@ fn zero_sensor(core: &mut Core) {
 const MAX_OFFSET: f64 = 100.0;
 const MAX_GRAVITY: f64 = 1000.0;
 
+/// Longest transition to another payload, s: far beyond what programs use.
+const MAX_TRANSITION_S: f64 = 3600.0;
+
 /// Largest element of a payload's inertia, kg m2 (script manual, set_target_payload).
 const MAX_INERTIA: f64 = 133.0;
 
@@ -265,12 +269,16 @@ fn set_payload(core: &mut Core, call: &Call<'_>) -> Result<(), String> {
         return Err(format!("{}: an inertia of {inertia:?} kg m2 is not possible", call.name));
     }
     let [x, y, z, ..] = core.tcp_offset;
-    core.payload.centre = match (centre, call.name) {
+    let seconds = call.number_or(3, 0.0)?;
+    if !(0.0..=MAX_TRANSITION_S).contains(&seconds) {
+        return Err(format!("{}: a transition time of {seconds} s is not possible", call.name));
+    }
+    let centre = match (centre, call.name) {
         (Some(centre), _) => centre,
         (None, "set_payload") => [x, y, z],
         (None, _) => core.payload.centre,
     };
-    (core.payload.mass, core.payload.inertia) = (mass, inertia);
+    core.change_payload(Payload { mass, centre, inertia, gravity: core.payload.gravity }, seconds);
     zero_sensor(core);
     Ok(())
 }

@@ -126,6 +126,7 @@ impl Controller {
     /// 2 ms of simulated time.
     pub fn frame(&mut self) {
         self.core.step += 1;
+        self.core.payload_frame();
         self.core.modes.advance();
         self.programs.run(&mut self.core);
         if let Some((code, reason)) = self.core.stop_requested.take() {

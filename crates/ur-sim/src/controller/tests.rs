@@ -207,6 +207,23 @@ fn a_tool_and_a_gravity_that_cannot_be_are_exceptions() {
 }
 
 #[test]
+fn a_payload_with_a_transition_time_changes_in_equal_steps() {
+    let mut controller = running();
+    let before = controller.core.payload.mass;
+    upload(
+        &mut controller,
+        "def p():\n  set_target_payload(2.5, [0, 0, 0.1], [0, 0, 0, 0, 0, 0], 0.1)\n  sleep(1)\nend\n",
+    );
+    step_until(&mut controller, |controller| controller.core.payload.mass != before);
+    let first = controller.core.payload.mass;
+    let half = step_until(&mut controller, |controller| controller.core.payload.mass >= 0.5 * (before + 2.5));
+    let whole = half + step_until(&mut controller, |controller| controller.core.payload.mass == 2.5);
+    assert!((first - before - (2.5 - before) / 50.0).abs() < 1e-9, "{first} kg in the first frame");
+    assert!((23..=25).contains(&half) && (48..=50).contains(&whole), "{half} and {whole} frames");
+    assert_eq!(controller.core.payload.centre, [0.0, 0.0, 0.1]);
+}
+
+#[test]
 fn a_secondary_program_does_not_move_the_arm() {
     for script in ["movej([1,-1.57,1.57,-1.57,-1.57,0])", "speedj([0.2,0,0,0,0,0], 1.4)", "stopj(1)"] {
         let mut controller = running();

@@ -376,7 +376,7 @@ fn begin(controller: &mut Controller, fault: &RobotFault) -> Result<(), FaultErr
         RobotFault::Slider(fraction) => controller.core.registers.slide_to(*fraction),
         RobotFault::Stall => controller.core.mover.set_stalled(true),
         RobotFault::Claim(input) => controller.core.registers.seize(STRANGER, input),
-        RobotFault::Payload(mass_kg) => controller.core.payload.mass = *mass_kg,
+        RobotFault::Payload(mass_kg) => controller.core.payload_is(*mass_kg),
         RobotFault::SafetyChecksum(checksum) => controller.core.pendant.safety_checksum = *checksum,
         RobotFault::Reboot { .. } => controller.power_off(),
         // These follow from the list of faults in force.

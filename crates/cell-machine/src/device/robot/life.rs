@@ -59,7 +59,7 @@ impl Robot {
         self.stream.clear();
         self.setup = Setup::default();
         self.stop_written_for = None;
-        let sent = self.primary.upload(&self.template.render(nonce));
+        let sent = self.primary.upload(&self.template.render_for(nonce, self.identity.version.as_deref()));
         self.program = Program::Starting { nonce, deadline, upload_again: !sent, retried };
         self.heartbeat.next = Some(now);
     }
