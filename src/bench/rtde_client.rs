@@ -82,6 +82,8 @@ impl Client {
             match self.stream.read(&mut buffer) {
                 Ok(0) => return Err(broken("closed")),
                 Ok(count) => self.splitter.push(&buffer[..count]),
+                // A signal; who wants to end looks at it between two values.
+                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
                 Err(error) => return Err(broken(&error.to_string())),
             }
         }

@@ -144,7 +144,10 @@ pub fn main() -> ExitCode {
         Command::Sim(args) => ur_sim::command::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Calibrate(args) => calibrate::run(&args, stop),
-        Command::Record(args) => record::run(&args, &stop),
+        Command::Record(args) => {
+            interrupt::watch(&stop);
+            record::run(&args, &stop)
+        }
         Command::Detect(args) => detect::run(&args),
         Command::Capture(args) => capture::run(&args),
         Command::Markers(args) => markers::run(&args),

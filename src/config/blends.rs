@@ -1,4 +1,5 @@
-//! Whether the arm may cut corners: only where this controller, with this software, was recorded doing so.
+//! Whether the arm may cut corners: only where this controller, with this software and limits at least as
+//! large, was recorded doing so.
 //!
 //! In: the configuration, the files `blends.yaml` and `blends.csv` of its calibration folder, the arm. Out:
 //! how the arm passed the corners, judged from the recording each time; or a sentence that says why there
@@ -6,16 +7,17 @@
 
 use crate::config::cell::CellConfig;
 use cell_calibration::blends::{Passage, judge};
-use cell_calibration::files::blends::BlendRecording;
+use cell_calibration::files::blends::{BlendRecording, RecordedLimits};
 use cell_calibration::files::joints;
 use cell_edge::files;
 use cell_machine::event::Arm;
 use cell_motion::path::ArmModel;
+use cell_values::units::deg_from_rad;
 use rearrange::document::chain::chain;
 use std::path::{Path, PathBuf};
 
 /// Largest recording that is read, bytes: minutes at 500 Hz.
-const RECORDING_MAX: u64 = 64 << 20;
+const RECORDING_MAX: u64 = 16 << 20;
 
 /// A recording that lets corners be cut.
 #[derive(Clone, Debug)]
@@ -38,6 +40,18 @@ impl JudgedBlends {
     }
 }
 
+/// The configuration's limits for corners.
+pub fn limits(config: &CellConfig) -> RecordedLimits {
+    let limits = &config.limits;
+    RecordedLimits {
+        blend_m: limits.blend_m,
+        joint_speed_deg_s: deg_from_rad(limits.joint_speed),
+        joint_acceleration_deg_s2: deg_from_rad(limits.joint_acceleration),
+        tool_speed_m_s: limits.tool_speed,
+        tool_acceleration_m_s2: limits.tool_acceleration,
+    }
+}
+
 /// Where the joints of a recording are.
 pub fn joints_file(blends: &Path) -> PathBuf {
     blends.with_extension("csv")
@@ -51,19 +65,21 @@ pub fn script_file(blends: &Path) -> PathBuf {
 /// The recording of this arm's blends, judged.
 ///
 /// # Errors
-/// There is none, it is of another controller or software, it is broken, or the arm left what was checked.
+/// There is none, it is of another controller or software or of smaller limits, it is broken, or the arm was
+/// elsewhere or faster than checked.
 pub fn recorded_blends(config: &CellConfig, model: &ArmModel, arm: &Arm) -> Result<JudgedBlends, String> {
     let path = &config.calibration.blends;
     let name = path.display().to_string();
     let text = files::read_named(path, 1 << 20).map_err(|error| chain(&error))?;
     let recording = BlendRecording::parse(&text, &name).map_err(|complaints| complaints.to_string())?;
     recording.check_robot(&name, &arm.serial, &arm.software)?;
+    recording.check_limits(&name, &limits(config))?;
     let recorded = joints_file(path);
     let name = recorded.display();
     let text = files::read_named(&recorded, RECORDING_MAX).map_err(|error| chain(&error))?;
     let track = joints::parse(&text).map_err(|complaint| format!("{name}: {complaint}"))?;
     let passages = judge(model, &recording.paths, &track)
-        .map_err(|(path, fault)| format!("{name}, path {path}: {fault}"))?;
+        .map_err(|(way, fault)| format!("{name}, way {way}: {fault}"))?;
     Ok(JudgedBlends { date: recording.date, passages })
 }
 
@@ -113,7 +129,7 @@ mod tests {
             none == 0.0 && why.as_ref().is_some_and(|why| why.contains("blends.yaml")),
             "{none}, {why:?}"
         );
-        // A word that says so is none.
+        // A flag in the file does not enable blends.
         std::fs::write(&config.calibration.blends, "version: 1\nblends: true\n").unwrap();
         assert_eq!(blend_m(&config).0, 0.0);
         config.limits.blend_m = 0.0;

@@ -16,9 +16,6 @@ use cell_motion::bodies::Room;
 use cell_motion::bodies::sweep::{Meeting, Sweep, Zone};
 use cell_values::units::Joints;
 
-/// A cell that may be so many times as fast as its recording is worth another one.
-const MUCH_FASTER: f64 = 1.3;
-
 /// A calibration older than this is worth a new look, s.
 const OLD_S: f64 = 90.0 * 86_400.0;
 
@@ -100,29 +97,21 @@ pub fn blends(config: &CellConfig, measured: &Measured, arm: &Arm) -> Line {
         return ok("blends", "none: `limits.blend_m` is 0");
     }
     if config.simulation.is_some() {
-        return ok("blends", "as `limits.blend_m` has them: a simulation needs no recording");
+        return ok("blends", "on, radius from `limits.blend_m`; simulated cells need no recording");
     }
     let model = arm_model(config, measured.dh, measured.base_from_table);
     let recorded = match recorded_blends(config, &model, arm) {
         Ok(recorded) => recorded,
         Err(why) => {
             let hint = "`celld calibrate blends` records how this controller passes corners; until then the \
-                        arm stops at each";
+                        arm stops at each corner";
             return Line::note(Area::Files, "blends", why, hint);
         }
     };
     let (fastest_m_s, off_mm) = (recorded.fastest_m_s(), 1e3 * recorded.off_m());
-    let ways = recorded.passages.len();
-    let found = format!(
-        "recorded {}: {ways} ways at up to {fastest_m_s:.2} m/s, at most {off_mm:.1} mm off",
-        recorded.date
-    );
-    // What is allowed to the straight parts; transfers are slower or faster by where they lead.
-    let now_m_s = config.limits.tool_speed;
-    if now_m_s > MUCH_FASTER * fastest_m_s {
-        let hint = "the limits have grown since: record again with `celld calibrate blends`";
-        return Line::note(Area::Files, "blends", format!("{found}; now up to {now_m_s:.2} m/s"), hint);
-    }
+    let (date, ways) = (recorded.date, recorded.passages.len());
+    let found =
+        format!("recorded {date}: {ways} ways at up to {fastest_m_s:.2} m/s, at most {off_mm:.1} mm off");
     ok("blends", found)
 }
 

@@ -176,7 +176,7 @@ pub(crate) fn start_daemon_with(folder: &Path, cell: &Path, environment: &[(&str
     running
 }
 
-fn interrupt(process: &Running) {
+pub(crate) fn interrupt(process: &Running) {
     let id = process.0.id().to_string();
     // The shell's own: a bare Debian has no such program.
     let sent = Command::new("sh").args(["-c", &format!("kill -INT {id}")]).status().expect("sh");

@@ -2,8 +2,9 @@
 //!
 //! In: paths as they were sent, and the arm's joints as the controller reported them meanwhile. Out: a
 //! [`Passage`] for each path: how far off its way the tool came, how fast it was, how each corner was cut;
-//! or a [`BlendFault`], with which celld has to stop at corners. What is allowed is what paths are checked
-//! for: any way inside the corner, at any speed up to the fastest of the path. Pure.
+//! or a [`BlendFault`], with which celld has to stop at corners. The check of paths (`cell_motion::path`)
+//! says what is allowed: any way inside a corner; on each segment its own speed, in a corner up to that of
+//! the faster one of its two segments. Pure.
 
 use cell_motion::path::{ArmModel, Segment};
 use cell_values::units::{Joints, deg_from_rad, mm_from_m};
@@ -62,12 +63,23 @@ pub struct CornerPassage {
 /// Why a recording does not let corners be cut.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum BlendFault {
-    /// The path is not in the recording.
-    #[error("the recording does not show the arm {0}")]
+    /// No sample there.
+    #[error("the recording has no sample {0} of the way")]
     NotThere(&'static str),
+    /// It ends too soon.
+    #[error("the recording ends {0:.1} s before the arm was watched at rest at the end of the way")]
+    EndsTooSoon(f64),
+    /// Too many samples, ways or segments.
+    #[error("the recording has more than {most} {what}")]
+    TooLong {
+        /// Of what.
+        what: &'static str,
+        /// How many there may be.
+        most: usize,
+    },
     /// Too long without a sample.
-    #[error("the recording has a hole of {ms:.0} ms at {at_s:.2} s, at most {most_ms:.0} ms are read")]
-    Hole {
+    #[error("the recording has a gap of {ms:.0} ms at {at_s:.2} s; the limit is {most_ms:.0} ms")]
+    Gap {
         /// Its length.
         ms: f64,
         /// Where it begins.
@@ -76,35 +88,43 @@ pub enum BlendFault {
         most_ms: f64,
     },
     /// Nothing to record.
-    #[error("no corner of the path is cut: at these speeds `limits.blend_m` saves nothing")]
+    #[error("no way has a blend before its way down: at these speeds a stop is faster than a blend")]
     NoBlend,
     /// The tool left the corridor.
     #[error(
-        "the tool was {off_mm:.1} mm off its way {after_s:.2} s after the start, at most {most_mm:.0} mm"
+        "{after_s:.2} s after the start the tool was {off_mm:.1} mm off its way; the limit is {most_mm:.0} mm"
     )]
     Off {
         /// How far.
         off_mm: f64,
-        /// When, in the path.
+        /// When, after it set out.
         after_s: f64,
         /// What is allowed.
         most_mm: f64,
     },
     /// The tool was too fast.
-    #[error("the tool moved at {m_s:.2} m/s, the path allows {allowed_m_s:.2} m/s")]
+    #[error(
+        "{after_s:.2} s after the start the tool moved at {m_s:.3} m/s; the limit there is {allowed_m_s:.3} m/s"
+    )]
     TooFast {
         /// Measured.
         m_s: f64,
-        /// Allowed.
+        /// Allowed there.
         allowed_m_s: f64,
+        /// When, after it set out.
+        after_s: f64,
     },
-    /// The arm stood in another posture than that of the path.
-    #[error("joint {joint} was {off_deg:.1} degrees from where the path ends")]
-    OtherEnd {
+    /// The arm had another posture than that of the path.
+    #[error(
+        "{after_s:.2} s after the start joint {joint} was {off_deg:.1} degrees from where the way has it"
+    )]
+    OtherPosture {
         /// Counted from 1.
         joint: usize,
         /// How far.
         off_deg: f64,
+        /// When, after it set out.
+        after_s: f64,
     },
 }
 
@@ -114,8 +134,17 @@ const AT_RAD: f64 = 5e-3;
 /// Most that the tool may be off its way, m: the arm's own error, and lines that bend in joint space.
 const OFF_M: f64 = 3e-3;
 
+/// Most that a joint may be off while the tool is on its way, rad: more is another posture. Where a corner
+/// is cut, the nearest place of the path has joints a little different.
+const POSTURE_RAD: f64 = 0.15;
+
 /// Longest time between two samples, s: at 1 m/s the tool moves by less than a blend.
-const HOLE_S: f64 = 0.025;
+const GAP_S: f64 = 0.025;
+
+/// More is no recording of ours, and would take long to judge: ways, segments of each, samples of each.
+const MOST_WAYS: usize = 16;
+const MOST_SEGMENTS: usize = 16;
+const MOST_SAMPLES: usize = 20_000;
 
 /// Speeds are measured over so long, s.
 const SPEED_OVER_S: f64 = 0.02;
@@ -145,16 +174,37 @@ pub fn judge(
     paths: &[SentPath],
     track: &JointTrack,
 ) -> Result<Vec<Passage>, (usize, BlendFault)> {
+    let too_many = |what, most| BlendFault::TooLong { what, most };
+    if paths.len() > MOST_WAYS {
+        return Err((MOST_WAYS + 1, too_many("ways", MOST_WAYS)));
+    }
     let mut from = 0;
     let mut passages = Vec::with_capacity(paths.len());
     for (index, path) in paths.iter().enumerate() {
         let fault = |fault| (index + 1, fault);
+        if path.segments.len() > MOST_SEGMENTS {
+            return Err(fault(too_many("segments in a way", MOST_SEGMENTS)));
+        }
         let (begins, arrives) = find(path, track, from).map_err(fault)?;
         passages.push(passage(model, path, track, begins, arrives).map_err(fault)?);
         from = arrives;
     }
-    let cut = passages.iter().any(|passage| !passage.corners.is_empty());
-    if cut { Ok(passages) } else { Err((paths.len(), BlendFault::NoBlend)) }
+    let recorded = paths.iter().any(cut_before_a_descent);
+    if recorded { Ok(passages) } else { Err((paths.len().max(1), BlendFault::NoBlend)) }
+}
+
+/// The tool's highest speed on the path as it was sent, m/s.
+pub fn fastest_m_s(model: &ArmModel, path: &SentPath) -> f64 {
+    Drawn::new(model, path).fastest_m_s()
+}
+
+/// The corner after which an arm that is too fast would meet the table.
+fn cut_before_a_descent(path: &SentPath) -> bool {
+    let cut = |pair: &[Segment]| match pair {
+        [Segment::Joint { blend, .. }, Segment::Linear { .. }] => *blend > 0.0,
+        _ => false,
+    };
+    path.segments.windows(2).any(cut)
 }
 
 /// The last sample at the start, and the first at the end after it.
@@ -164,9 +214,9 @@ fn find(path: &SentPath, track: &JointTrack, from: usize) -> Result<(usize, usiz
         |place: &Joints, k: usize| track.joints.get(k).is_some_and(|q| q.max_difference(place) <= AT_RAD);
     let count = track.joints.len().min(track.times_s.len());
     let first = (from..count).find(|k| at(&path.start, *k));
-    let first = first.ok_or(BlendFault::NotThere("where a path begins"))?;
+    let first = first.ok_or(BlendFault::NotThere("at the start"))?;
     let arrives = (first..count).find(|k| at(&end, *k));
-    let arrives = arrives.ok_or(BlendFault::NotThere("where a path ends"))?;
+    let arrives = arrives.ok_or(BlendFault::NotThere("at the end"))?;
     let begins = (first..arrives).rev().find(|k| at(&path.start, *k)).unwrap_or(first);
     Ok((begins, arrives))
 }
@@ -178,41 +228,69 @@ fn passage(
     begins: usize,
     arrives: usize,
 ) -> Result<Passage, BlendFault> {
-    let began_s = track.times_s[begins];
-    let over_s = track.times_s[arrives] + WATCHED_S;
-    let count = track.times_s[begins..].iter().take_while(|time_s| **time_s <= over_s).count();
-    let times_s = &track.times_s[begins..begins + count];
-    let tool: Vec<Point> = track.joints[begins..begins + count].iter().map(|q| place(model, q)).collect();
-    if let Some(pair) = times_s.windows(2).find(|pair| pair[1] - pair[0] > HOLE_S) {
-        let (ms, most_ms) = (1e3 * (pair[1] - pair[0]), 1e3 * HOLE_S);
-        return Err(BlendFault::Hole { ms, at_s: pair[0], most_ms });
-    }
-    check_end(path, &track.joints[begins + count - 1])?;
+    let (began_s, arrived_s) = (track.times_s[begins], track.times_s[arrives]);
+    let seen = seen(track, begins, arrived_s + WATCHED_S)?;
     let drawn = Drawn::new(model, path);
-    let (at, off_m) = drawn.farthest(&tool);
-    if off_m > OFF_M {
-        let (off_mm, most_mm) = (mm_from_m(off_m), mm_from_m(OFF_M));
-        return Err(BlendFault::Off { off_mm, after_s: times_s[at] - began_s, most_mm });
-    }
-    let speeds = speeds(times_s, &tool);
-    let fastest_m_s = speeds.iter().copied().fold(0.0, f64::max);
-    let allowed_m_s = drawn.allowed_m_s;
-    if fastest_m_s > SPEED_SHARE * allowed_m_s + SPEED_ERROR_M_S {
-        return Err(BlendFault::TooFast { m_s: fastest_m_s, allowed_m_s });
-    }
-    let corners = drawn.corners.iter().filter_map(|corner| corner.passed(&tool, &speeds)).collect();
-    let seconds = track.times_s[arrives] - began_s;
-    Ok(Passage { begins_s: began_s, seconds, off_m, fastest_m_s, allowed_m_s, corners })
+    let tool: Vec<Point> = seen.iter().map(|(_, q)| place(model, q)).collect();
+    let near: Vec<Near> = tool.iter().map(|p| drawn.near(p)).collect();
+    check_way(&seen, &near)?;
+    let times_s: Vec<f64> = seen.iter().map(|(time_s, _)| *time_s).collect();
+    let speeds = speeds(&times_s, &tool);
+    check_speeds(&times_s, &speeds, &near)?;
+    Ok(Passage {
+        begins_s: began_s,
+        seconds: arrived_s - began_s,
+        off_m: near.iter().map(|near| near.off_m).fold(0.0, f64::max),
+        fastest_m_s: speeds.iter().copied().fold(0.0, f64::max),
+        allowed_m_s: drawn.fastest_m_s(),
+        corners: drawn.corners.iter().filter_map(|corner| corner.passed(&tool, &speeds)).collect(),
+    })
 }
 
-/// Another posture could have the tool in the same place.
-fn check_end(path: &SentPath, q: &Joints) -> Result<(), BlendFault> {
-    let end = path.segments.last().map_or(path.start, Segment::target);
-    let off = |joint: usize| (q.0[joint] - end.0[joint]).abs();
-    match (0..6).find(|joint| off(*joint) > AT_RAD) {
-        Some(joint) => Err(BlendFault::OtherEnd { joint: joint + 1, off_deg: deg_from_rad(off(joint)) }),
-        None => Ok(()),
+/// The samples of a way, without a gap.
+fn seen(track: &JointTrack, begins: usize, over_s: f64) -> Result<Vec<(f64, Joints)>, BlendFault> {
+    let all = track.times_s.iter().copied().zip(track.joints.iter().copied()).skip(begins);
+    let seen: Vec<(f64, Joints)> =
+        all.take_while(|(time_s, _)| *time_s <= over_s).take(MOST_SAMPLES + 1).collect();
+    if seen.len() > MOST_SAMPLES {
+        return Err(BlendFault::TooLong { what: "samples of a way", most: MOST_SAMPLES });
     }
+    if let Some(pair) = seen.windows(2).find(|pair| pair[1].0 - pair[0].0 > GAP_S) {
+        let (ms, most_ms) = (1e3 * (pair[1].0 - pair[0].0), 1e3 * GAP_S);
+        return Err(BlendFault::Gap { ms, at_s: pair[0].0, most_ms });
+    }
+    let short_s = seen.last().map_or(over_s, |(last_s, _)| over_s - last_s);
+    if short_s > GAP_S { Err(BlendFault::EndsTooSoon(short_s)) } else { Ok(seen) }
+}
+
+/// The tool on the path or in a corner, the joints those of that place.
+fn check_way(seen: &[(f64, Joints)], near: &[Near]) -> Result<(), BlendFault> {
+    let began_s = seen.first().map_or(0.0, |(time_s, _)| *time_s);
+    for ((time_s, q), near) in seen.iter().zip(near) {
+        let after_s = time_s - began_s;
+        if near.off_m > OFF_M {
+            let (off_mm, most_mm) = (mm_from_m(near.off_m), mm_from_m(OFF_M));
+            return Err(BlendFault::Off { off_mm, after_s, most_mm });
+        }
+        let off = |joint: usize| (q.0[joint] - near.joints.0[joint]).abs();
+        if let Some(joint) = (0..6).find(|joint| off(*joint) > POSTURE_RAD) {
+            let off_deg = deg_from_rad(off(joint));
+            return Err(BlendFault::OtherPosture { joint: joint + 1, off_deg, after_s });
+        }
+    }
+    Ok(())
+}
+
+/// No sample faster than the places allow that the tool has passed while its speed was measured.
+fn check_speeds(times_s: &[f64], speeds: &[f64], near: &[Near]) -> Result<(), BlendFault> {
+    for (k, m_s) in speeds.iter().copied().enumerate() {
+        let passed = (0..=k).rev().take_while(|j| times_s[k] - times_s[*j] <= SPEED_OVER_S + GAP_S);
+        let allowed_m_s = passed.map(|j| near[j].allowed_m_s).fold(0.0, f64::max);
+        if m_s > SPEED_SHARE * allowed_m_s + SPEED_ERROR_M_S {
+            return Err(BlendFault::TooFast { m_s, allowed_m_s, after_s: times_s[k] - times_s[0] });
+        }
+    }
+    Ok(())
 }
 
 fn place(model: &ArmModel, q: &Joints) -> Point {
@@ -234,68 +312,98 @@ fn speeds(times_s: &[f64], tool: &[Point]) -> Vec<f64> {
 
 /// The path of the tool.
 struct Drawn {
-    points: Vec<Point>,
+    ways: Vec<DrawnWay>,
     corners: Vec<DrawnCorner>,
-    allowed_m_s: f64,
 }
 
-/// A corner that may be cut: where, and the ends of its sides.
+/// A segment: where the tool passes, with which joints, and how fast it may be there, m/s.
+struct DrawnWay {
+    points: Vec<Point>,
+    joints: Vec<Joints>,
+    m_s: f64,
+}
+
+/// A corner that may be cut: where, the ends of its sides, and how fast the tool may be in it, m/s.
 struct DrawnCorner {
     radius_m: f64,
     apex: Point,
     came: Point,
     goes: Point,
+    m_s: f64,
+}
+
+/// Where the tool is on a path.
+struct Near {
+    /// Distance from the path, or from a corner that may be cut, m.
+    off_m: f64,
+    /// Joints of the nearest place.
+    joints: Joints,
+    /// How fast the tool may be there, m/s.
+    allowed_m_s: f64,
 }
 
 impl Drawn {
     fn new(model: &ArmModel, path: &SentPath) -> Drawn {
         let mut from = path.start;
-        let mut ways: Vec<Vec<Point>> = Vec::with_capacity(path.segments.len());
-        let mut allowed_m_s: f64 = 0.0;
+        let mut ways: Vec<DrawnWay> = Vec::with_capacity(path.segments.len());
         for segment in &path.segments {
-            let to = segment.target();
-            let (way, m_s) = way(model, &from, segment);
-            allowed_m_s = allowed_m_s.max(m_s);
-            ways.push(way);
-            from = to;
+            ways.push(DrawnWay::new(model, &from, segment));
+            from = segment.target();
         }
-        let blends = path.segments.iter().zip(ways.windows(2));
-        let corners = blends.filter(|(segment, _)| segment.blend() > 0.0).filter_map(|(segment, pair)| {
+        let corners = path.segments.iter().zip(ways.windows(2)).filter_map(|(segment, pair)| {
             let [into, out] = pair else { return None };
-            let (apex, far) = (*into.last()?, RADIUS_SHARE * segment.blend());
-            let beyond = |p: &&Point| (*p - apex).norm() >= far;
-            let came = into.iter().rev().find(beyond).or(into.first()).copied()?;
-            let goes = out.iter().find(beyond).or(out.last()).copied()?;
-            Some(DrawnCorner { radius_m: segment.blend(), apex, came, goes })
+            let (radius_m, apex) = (segment.blend(), *into.points.last()?);
+            let beyond = |p: &&Point| (*p - apex).norm() >= RADIUS_SHARE * radius_m;
+            let came = into.points.iter().rev().find(beyond).or(into.points.first()).copied()?;
+            let goes = out.points.iter().find(beyond).or(out.points.last()).copied()?;
+            let m_s = into.m_s.max(out.m_s);
+            (radius_m > 0.0).then_some(DrawnCorner { radius_m, apex, came, goes, m_s })
         });
-        Drawn { corners: corners.collect(), points: ways.concat(), allowed_m_s }
+        let corners = corners.collect();
+        Drawn { ways, corners }
     }
 
-    /// The sample that is farthest from path and corners, and how far that is, m.
-    fn farthest(&self, tool: &[Point]) -> (usize, f64) {
-        let off = |p: &Point| {
-            let path = self.points.windows(2).map(|pair| from_line(p, &pair[0], &pair[1]));
-            path.chain(self.corners.iter().map(|corner| corner.from(p))).fold(f64::INFINITY, f64::min)
-        };
-        let offs = tool.iter().map(off).enumerate();
-        offs.fold((0, 0.0), |most, next| if next.1 > most.1 { next } else { most })
+    fn fastest_m_s(&self) -> f64 {
+        self.ways.iter().map(|way| way.m_s).fold(0.0, f64::max)
+    }
+
+    fn near(&self, p: &Point) -> Near {
+        let mut near = Near { off_m: f64::INFINITY, joints: Joints([0.0; 6]), allowed_m_s: 0.0 };
+        for way in &self.ways {
+            for (pair, joints) in way.points.windows(2).zip(&way.joints) {
+                let off_m = from_line(p, &pair[0], &pair[1]);
+                if off_m < near.off_m {
+                    near = Near { off_m, joints: *joints, allowed_m_s: way.m_s };
+                }
+            }
+        }
+        for corner in &self.corners {
+            near.off_m = near.off_m.min(corner.from(p));
+            if (p - corner.apex).norm() <= RADIUS_SHARE * corner.radius_m {
+                near.allowed_m_s = near.allowed_m_s.max(corner.m_s);
+            }
+        }
+        near
     }
 }
 
-/// Where the tool passes on a segment, and how fast it may be there, m/s.
-fn way(model: &ArmModel, from: &Joints, segment: &Segment) -> (Vec<Point>, f64) {
-    let to = segment.target();
-    let share = |k: usize| k as f64 / PIECES as f64;
-    match *segment {
-        Segment::Joint { speed, .. } => {
-            let way: Vec<Point> = (0..=PIECES).map(|k| place(model, &from.lerp(&to, share(k)))).collect();
-            let longest = way.windows(2).map(|pair| (pair[1] - pair[0]).norm()).fold(0.0, f64::max);
-            let m_per_rad = longest * PIECES as f64 / from.max_difference(&to).max(1e-9);
-            (way, speed * m_per_rad)
-        }
-        Segment::Linear { speed, .. } => {
-            let (one, other) = (place(model, from), place(model, &to));
-            ((0..=PIECES).map(|k| one.lerp(&other, share(k))).collect(), speed)
+impl DrawnWay {
+    fn new(model: &ArmModel, from: &Joints, segment: &Segment) -> DrawnWay {
+        let to = segment.target();
+        let share = |k: usize| k as f64 / PIECES as f64;
+        let joints: Vec<Joints> = (0..=PIECES).map(|k| from.lerp(&to, share(k))).collect();
+        match *segment {
+            Segment::Joint { speed, .. } => {
+                let points: Vec<Point> = joints.iter().map(|q| place(model, q)).collect();
+                let longest = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).fold(0.0, f64::max);
+                let m_per_rad = longest * PIECES as f64 / from.max_difference(&to).max(1e-9);
+                DrawnWay { points, joints, m_s: speed * m_per_rad }
+            }
+            Segment::Linear { speed, .. } => {
+                let (one, other) = (place(model, from), place(model, &to));
+                let points = (0..=PIECES).map(|k| one.lerp(&other, share(k))).collect();
+                DrawnWay { points, joints, m_s: speed }
+            }
         }
     }
 }
@@ -365,7 +473,7 @@ mod tests {
         }
         stops.extend(path.segments.last().map(Segment::target));
         let slowest_m_s =
-            0.9 * path.segments.iter().map(|one| way(model, &path.start, one).1).fold(1.0, f64::min);
+            0.9 * Drawn::new(model, path).ways.iter().map(|way| way.m_s).fold(f64::INFINITY, f64::min);
         let mut track = JointTrack::default();
         for pair in stops.windows(2) {
             let metres = (place(model, &pair[0]) - place(model, &pair[1])).norm();
@@ -406,6 +514,12 @@ mod tests {
         assert!(matches!(wide, BlendFault::Off { .. }), "{wide}");
         let fast = judged(&followed(&model, &path, 2.5, 0.5)).unwrap_err();
         assert!(matches!(fast, BlendFault::TooFast { .. }), "{fast}");
+        // On its way down not faster than the transfer before, but faster than that segment allows.
+        let (mut uneven, track) = (path.clone(), followed(&model, &path, 1.0, 0.0));
+        let Some(Segment::Linear { speed, .. }) = uneven.segments.last_mut() else { panic!("{uneven:?}") };
+        *speed *= 0.5;
+        let (_, fast) = judge(&model, &[uneven], &track).unwrap_err();
+        assert!(matches!(fast, BlendFault::TooFast { .. }), "{fast}");
         // An arm that came too fast goes beyond the end, and back.
         let mut beyond = followed(&model, &path, 1.0, 0.5);
         let count = beyond.joints.len();
@@ -417,7 +531,7 @@ mod tests {
     }
 
     #[test]
-    fn a_recording_that_does_not_show_the_path_is_refused() {
+    fn a_recording_without_the_whole_path_is_refused() {
         let (model, path) = sent();
         let whole = followed(&model, &path, 1.0, 0.5);
         let changed = |change: &dyn Fn(&mut JointTrack)| {
@@ -426,17 +540,26 @@ mod tests {
             judged(&track).unwrap_err()
         };
         let half = changed(&|track| track.joints.truncate(track.joints.len() / 2));
-        assert_eq!(half, BlendFault::NotThere("where a path ends"));
-        assert_eq!(changed(&|track| track.joints.clear()), BlendFault::NotThere("where a path begins"));
-        let hole = changed(&|track| {
+        assert_eq!(half, BlendFault::NotThere("at the end"));
+        assert_eq!(changed(&|track| track.joints.clear()), BlendFault::NotThere("at the start"));
+        let count = whole.joints.len();
+        let cut = changed(&|track| track.joints.truncate(count - 40));
+        assert!(matches!(cut, BlendFault::EndsTooSoon(_)), "{cut}");
+        let gap = changed(&|track| {
             track.times_s.iter_mut().skip(60).for_each(|time_s| *time_s += 0.1);
         });
-        assert!(matches!(hole, BlendFault::Hole { .. }), "{hole}");
+        assert!(matches!(gap, BlendFault::Gap { .. }), "{gap}");
         let turned = changed(&|track| {
-            let count = track.joints.len();
-            track.joints[count - 20..].iter_mut().for_each(|q| q.0[5] += 0.02);
+            track.joints[count / 3..count / 2].iter_mut().for_each(|q| q.0[5] += 0.2);
         });
-        assert!(matches!(turned, BlendFault::OtherEnd { joint: 6, .. }), "{turned}");
+        assert!(matches!(turned, BlendFault::OtherPosture { joint: 6, .. }), "{turned}");
+        // The arm stands for minutes on its way.
+        let slow = changed(&|track| {
+            let half = track.joints[count / 2];
+            track.joints.splice(count / 2..count / 2, std::iter::repeat_n(half, MOST_SAMPLES));
+            track.times_s = (0..track.joints.len()).map(|k| STEP_S * k as f64).collect();
+        });
+        assert!(matches!(slow, BlendFault::TooLong { .. }), "{slow}");
         let stops = |mut path: SentPath| {
             for segment in &mut path.segments {
                 let (Segment::Joint { blend, .. } | Segment::Linear { blend, .. }) = segment;

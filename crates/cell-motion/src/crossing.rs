@@ -2,8 +2,8 @@
 //! a controller's blends are recorded.
 //!
 //! In: the arm, the cycle's heights and speeds, the size of the workspace, what may lie on the table. Out: a
-//! [`Crossing`], and its checked path. The tool keeps [`OVER_ALL_M`] over everything that may lie on the
-//! table, so that nothing has to be seen before. Pure.
+//! [`Crossing`], and its checked path. Its ends are [`OVER_ALL_M`] over everything that may lie on the
+//! table, and nothing of it is lower than [`LOWEST_M`], so that nothing has to be seen before. Pure.
 
 use crate::bodies::Room;
 use crate::cycle::CycleParameters;
@@ -14,9 +14,12 @@ use cell_values::units::Joints;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
-/// The lowest places of a crossing are so far over everything that may lie on the table, m: also a table
-/// that is only drawn yet is not met.
+/// The ends of a crossing are so far over everything that may lie on the table, m: enough also for a table
+/// that is only drawn yet.
 const OVER_ALL_M: f64 = 0.05;
+
+/// No place of it is nearer to what may lie there, m: a transfer sags between its ends.
+const LOWEST_M: f64 = 0.04;
 
 /// It goes up and down by at least so many blend radii, so that the corner is cut as the configuration says.
 const RISE_IN_BLENDS: f64 = 2.0;
@@ -143,7 +146,7 @@ impl Crossing {
                     joint(self.over, &slower, blend),
                     linear(self.end, cycle, 0.0),
                 ];
-                let legs = segments.map(|segment| Leg::over(segment, cycle.layer()).holding(hold));
+                let legs = segments.map(|segment| Leg::over(segment, cycle.layer() + LOWEST_M).holding(hold));
                 CheckedPath::new(model, from, &legs, room)
             })
         };

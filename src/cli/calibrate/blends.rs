@@ -7,22 +7,22 @@
 
 use crate::cli::calibrate::trial::{Trial, TrialArgs};
 use crate::cli::daemon::with_runtime;
-use crate::config::blends::{joints_file, script_file};
+use crate::config::blends::{joints_file, limits, script_file};
 use crate::config::cell::CellConfig;
 use crate::daemon::shell::{Observer, Scene};
 use crate::jobs::utc;
-use cell_calibration::blends::{JointTrack, Passage, SentPath, judge};
+use cell_calibration::blends::{Passage, SentPath, judge};
 use cell_calibration::files::blends::BlendRecording;
 use cell_calibration::files::joints::{self, JointSample};
 use cell_edge::clock::unix_now_s;
-use cell_edge::files::create_folder;
+use cell_edge::files::{self, create_folder};
 use cell_edge::terminal::complain;
 use cell_edge::together::write_together;
 use cell_machine::device::robot_types::{Link, RobotState};
-use cell_machine::event::{Arm, Effect};
-use cell_motion::path::Segment;
+use cell_machine::event::Effect;
+use cell_motion::path::{ArmModel, Segment};
 use cell_values::time::Timestamp;
-use cell_values::units::{Joints, mm_from_m};
+use cell_values::units::mm_from_m;
 use rearrange::document::chain::chain;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -30,18 +30,22 @@ use ur_wire::enumerations::RuntimeState;
 
 /// Shown under `celld calibrate blends --help`.
 pub(super) const HELP: &str = "\
-The arm moves at the speeds of the configuration: slowly to a place over the table, then twice
-up, across and down to another place and back, at least 5 cm over everything that the
-configuration says may lie there. Nothing hangs on the gripper, the arm's reach is free of people.
-Without --yes the places are printed and nothing moves. Gripper, camera and calibration files need
-not be there; the table is where the configuration draws it then.
+Before you start: empty the gripper, clear the arm's reach of people and things, keep a hand at the
+emergency stop. An arm that is off is powered on and its brakes are released. The arm goes slowly
+to a place over the table, then up, across, down and back, twice, at the speeds of the
+configuration and at least 4 cm over everything that may lie on the table by the configuration.
+Without --yes celld prints the places, and nothing moves.
   celld calibrate blends --config config/cell.yaml --yes
-  celld-sim compare blends.csv blends.script    # in the calibration folder: the simulated arm beside it
-celld cuts corners on a real arm only with this recording, and with the same controller and
-software: after an update, record again.";
+  celld-sim compare blends.csv blends.script    # in the calibration folder: against the simulated arm
+A real arm cuts corners only with this recording, with the same controller and software, and with
+limits that are no larger: record again after an update and before you raise a limit. Gripper and
+camera may be absent. Without calibration files celld uses the table position of the configuration.";
 
-/// The recording begins so long before the first way, s.
+/// The joints are kept from so long before the first way on, s.
 const BEFORE_S: f64 = 0.1;
+
+/// Below this share of full speed a recording proves nothing of full speed.
+const FULL_SPEED: f64 = 0.99;
 
 /// Samples are kept that are at least so far apart, s; celld requests 125 a second.
 const APART_S: f64 = 0.0035;
@@ -59,19 +63,63 @@ pub(super) fn run(args: &TrialArgs, stop: Arc<AtomicBool>) -> u8 {
 
 async fn record(config: &CellConfig, yes: bool, stop: Arc<AtomicBool>) -> Result<(), String> {
     let stopped = || stop.load(Ordering::Relaxed);
-    let mut trial = Trial::ready(config, yes, "back, twice", &stopped).await?;
+    let mut trial = Trial::ready(config, yes, "goes back, and all of it again", &stopped).await?;
     let crossings = trial.crossing.both_ways();
     let paths = crossings.iter().map(|crossing| trial.path(crossing)).collect::<Result<Vec<_>, _>>()?;
     let mut recorder = Recorder::default();
     trial.go(crossings, &mut recorder, &stopped).await?;
     complain(&recorder.program());
-    let judged = judge(&trial.model.arm, &paths, &recorder.track()).map_err(|(path, fault)| {
-        format!("way {path}: {fault}; nothing was written, the arm goes on stopping at corners")
-    });
-    let passages = judged?;
-    passages.iter().enumerate().for_each(|(index, passage)| report(index + 1, passage));
-    let begins_s = passages.first().map_or(0.0, |passage| passage.begins_s);
-    keep(config, &trial.arm, paths, &recorder.csv(begins_s))
+    let yaml = BlendRecording {
+        paths,
+        limits: limits(config),
+        robot_serial: trial.arm.serial.clone(),
+        software: trial.arm.software.clone(),
+        date: utc::text(unix_now_s()),
+    }
+    .to_yaml();
+    match judged(&trial.model.arm, &yaml, &recorder) {
+        Ok((recording, csv)) => keep(config, &recording, &yaml, &csv),
+        Err(why) => {
+            // What was recorded before is no proof any more.
+            let void = files::remove(&config.calibration.blends).map_err(|error| chain(&error));
+            let kept = void.err().map_or(String::new(), |error| format!("; {error}: remove it by hand"));
+            Err(format!("{why}; no recording is kept, celld has the arm stop at each corner{kept}"))
+        }
+    }
+}
+
+/// Judges the texts that are read again at each start, and reports it; also the text of the joints, which
+/// begins a moment before the first way.
+fn judged(model: &ArmModel, yaml: &str, recorder: &Recorder) -> Result<(BlendRecording, String), String> {
+    if let Some(share) = recorder.slowest_share.filter(|share| *share < FULL_SPEED) {
+        return Err(format!("the speed slider or the limiter was at {:.0} %: record at 100 %", 1e2 * share));
+    }
+    let recording = BlendRecording::parse(yaml, "blends.yaml").map_err(|faults| faults.to_string())?;
+    let passages = |csv: &str| {
+        let passages = judge(model, &recording.paths, &joints::parse(csv)?);
+        passages.map_err(|(way, fault)| format!("way {way}: {fault}"))
+    };
+    let whole = passages(&recorder.csv(f64::NEG_INFINITY))?;
+    let csv = recorder.csv(whole.first().map_or(0.0, |passage| passage.begins_s) - BEFORE_S);
+    passages(&csv)?.iter().enumerate().for_each(|(index, passage)| report(index + 1, passage));
+    Ok((recording, csv))
+}
+
+fn keep(config: &CellConfig, recording: &BlendRecording, yaml: &str, csv: &str) -> Result<(), String> {
+    let path = &config.calibration.blends;
+    let (joints, moves) = (joints_file(path), script_file(path));
+    if let Some(folder) = path.parent() {
+        create_folder(folder).map_err(|error| chain(&error))?;
+    }
+    let script = script(&recording.paths);
+    write_together(&[
+        (joints.as_path(), csv.as_bytes()),
+        (moves.as_path(), script.as_bytes()),
+        (path.as_path(), yaml.as_bytes()),
+    ])
+    .map_err(|error| chain(&error))?;
+    complain(&format!("wrote {}, {} and {}", path.display(), joints.display(), moves.display()));
+    Ok(())
 }
 
 fn report(number: usize, passage: &Passage) {
@@ -90,31 +138,6 @@ fn report(number: usize, passage: &Passage) {
             corner.slowest_m_s,
         ));
     }
-}
-
-fn keep(config: &CellConfig, arm: &Arm, paths: Vec<SentPath>, csv: &str) -> Result<(), String> {
-    let file = BlendRecording {
-        paths,
-        robot_serial: arm.serial.clone(),
-        software: arm.software.clone(),
-        date: utc::text(unix_now_s()),
-    };
-    let path = &config.calibration.blends;
-    let joints = joints_file(path);
-    if let Some(folder) = path.parent() {
-        create_folder(folder).map_err(|error| chain(&error))?;
-    }
-    let (yaml, script) = (file.to_yaml(), script(&file.paths));
-    // The joints first: a recording of the last time does not fit the new paths.
-    let moves = script_file(path);
-    write_together(&[
-        (joints.as_path(), csv.as_bytes()),
-        (moves.as_path(), script.as_bytes()),
-        (path.as_path(), yaml.as_bytes()),
-    ])
-    .map_err(|error| chain(&error))?;
-    complain(&format!("wrote {}, {} and {}", path.display(), joints.display(), moves.display()));
-    Ok(())
 }
 
 /// The same moves as a program, for `celld-sim compare`.
@@ -140,19 +163,20 @@ fn script(paths: &[SentPath]) -> String {
 #[derive(Default)]
 struct Recorder {
     samples: Vec<JointSample>,
-    /// The longest of what was sent to the primary interface, and when.
+    /// The longest text that was sent to the primary interface, and when.
     sent: Option<(usize, Timestamp)>,
     /// From then until a program plays, s.
     starts_s: Option<f64>,
+    /// The least share of full speed at which the arm moved.
+    slowest_share: Option<f64>,
 }
 
 impl Observer for Recorder {
     fn on(&mut self, now: Timestamp, scene: Scene) {
         match scene {
             Scene::Robot(state) => self.sample(now, state),
-            Scene::Effect(Effect::Send(link, bytes)) if *link == Link::Primary => {
-                self.sent = Some((bytes.len(), now));
-                self.starts_s = None;
+            Scene::Effect(Effect::Send(Link::Primary, bytes)) if self.is_longer(bytes) => {
+                (self.sent, self.starts_s) = (Some((bytes.len(), now)), None);
             }
             _ => {}
         }
@@ -160,10 +184,18 @@ impl Observer for Recorder {
 }
 
 impl Recorder {
+    fn is_longer(&self, bytes: &[u8]) -> bool {
+        self.sent.is_none_or(|(longest, _)| bytes.len() > longest)
+    }
+
     fn sample(&mut self, now: Timestamp, state: &RobotState) {
         if let (Some((_, at)), None, RuntimeState::Playing) = (self.sent, self.starts_s, state.runtime_state)
         {
             self.starts_s = Some(now.since(at).as_secs_f64());
+        }
+        if state.runtime_state == RuntimeState::Playing && !state.stands_still() {
+            let share = state.speed_share();
+            self.slowest_share = Some(self.slowest_share.map_or(share, |least| least.min(share)));
         }
         let time_s = state.controller_time_s;
         if self.samples.last().is_some_and(|last| time_s - last.time_s < APART_S) {
@@ -183,17 +215,10 @@ impl Recorder {
         }
     }
 
-    fn track(&self) -> JointTrack {
-        JointTrack {
-            times_s: self.samples.iter().map(|sample| sample.time_s).collect(),
-            joints: self.samples.iter().map(|sample| Joints(sample.q)).collect(),
-        }
-    }
-
-    /// From a moment before `begins_s` on: without the way to where the arm set out.
-    fn csv(&self, begins_s: f64) -> String {
+    /// The samples from this time on, s.
+    fn csv(&self, from_s: f64) -> String {
         let mut text = joints::header();
-        let kept = self.samples.iter().filter(|sample| sample.time_s >= begins_s - BEFORE_S);
+        let kept = self.samples.iter().filter(|sample| sample.time_s >= from_s);
         kept.for_each(|sample| text.push_str(&joints::line(sample)));
         text
     }

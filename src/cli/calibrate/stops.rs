@@ -10,7 +10,9 @@ use crate::cli::calibrate::trial::{Trial, TrialArgs};
 use crate::cli::daemon::with_runtime;
 use crate::config::cell::CellConfig;
 use crate::daemon::shell::{Observer, Scene};
+use cell_calibration::blends::SentPath;
 use cell_edge::terminal::complain;
+use cell_machine::device::robot_types::RobotState;
 use cell_motion::crossing::Crossing;
 use cell_motion::path::Segment;
 use cell_values::time::Timestamp;
@@ -23,11 +25,17 @@ use ur_wire::rtde_values::Value;
 
 /// Shown under `celld calibrate stops --help`.
 pub(super) const HELP: &str = "\
-The arm moves at the speeds of the configuration, at least 5 cm over everything that the
-configuration says may lie on the table, and is stopped on the way: by celld's own stop, by
-celld's silence (celld holds its breath for 0.6 s, the program on the robot has to stop the arm),
-and by `stop` over the dashboard. Write the figures down: after an update of the controller they
-should be the same. Gripper, camera and calibration files need not be there.";
+Before you start: empty the gripper, clear the arm's reach of people and things, keep a hand at the
+emergency stop. An arm that is off is powered on and its brakes are released. The arm crosses the
+table three times, at least 4 cm over everything that may lie there by the configuration, and is
+stopped in the middle of the transfer:
+  by order    celld's own stop
+  watchdog    celld sends no heartbeat for 0.6 s, the program on the robot has to stop the arm;
+              Ctrl-C is not heard in this time, the emergency stop is
+  dashboard   `stop` over the dashboard
+The transfer before the watchdog's stop is slowed, so that it lasts long enough. Write the figures
+down: after an update of the controller they should be the same. Gripper, camera and calibration
+files may be absent.";
 
 /// The ways to stop, in this order.
 const WAYS: [Way; 3] = [Way::Order, Way::Silence, Way::Dashboard];
@@ -38,6 +46,10 @@ const SILENT: Duration = Duration::from_millis(600);
 /// The arm counts as fast when it has this share of the transfer's speed, and as slowing below the other.
 const FAST: f64 = 0.98;
 const SLOWING: f64 = 0.95;
+
+/// It is in the middle of the way across at these shares of it, each joint within so much of it, rad.
+const MIDDLE: std::ops::Range<f64> = 0.1..0.8;
+const NEAR_RAD: f64 = 0.02;
 
 /// Slower than this, rad/s, it stands.
 const STANDS_RAD_S: f64 = 0.01;
@@ -71,18 +83,13 @@ pub(super) fn run(args: &TrialArgs, stop: Arc<AtomicBool>) -> u8 {
 
 async fn measure(config: &CellConfig, yes: bool, stop: Arc<AtomicBool>) -> Result<(), String> {
     let stopped = || stop.load(Ordering::Relaxed);
-    let mut trial = Trial::ready(config, yes, "is stopped on the way, three times", &stopped).await?;
+    let mut trial = Trial::ready(config, yes, "is stopped on the way across, three times", &stopped).await?;
     let host = address(&config.devices.robot_host)?;
-    let crossing = Crossing { slower: true, ..trial.crossing };
-    let path = trial.path(&crossing)?;
-    let across = path.segments.iter().find_map(|segment| match segment {
-        Segment::Joint { speed, .. } => Some(*speed),
-        Segment::Linear { .. } => None,
-    });
-    let across_rad_s = across.ok_or("the way has no transfer")?;
     for way in WAYS {
+        let crossing = Crossing { slower: way == Way::Silence, ..trial.crossing };
+        let across_rad_s = transfer_speed(&trial.path(&crossing)?).ok_or("the way has no transfer")?;
         let recorder = Recorder::start(host)?;
-        let mut trigger = Trigger { way, host, across_rad_s, at_s: None, ended: false };
+        let mut trigger = Trigger { way, host, crossing, across_rad_s, at_s: None, answer: None };
         let fired = std::cell::Cell::new(false);
         let ended = {
             let ends = || stopped() || fired.get();
@@ -94,17 +101,28 @@ async fn measure(config: &CellConfig, yes: bool, stop: Arc<AtomicBool>) -> Resul
         if stopped() {
             return Err("stopped by the operator".to_string());
         }
-        let at_s = trigger.at_s.ok_or_else(|| format!("{}: {}", way.name(), ended_early(&ended)))?;
+        if let Some(refused) = trigger.refused() {
+            return Err(format!("{}: {refused}", way.name()));
+        }
+        let at_s = match (trigger.at_s, ended) {
+            (Some(at_s), Err(_)) => at_s,
+            (Some(_), Ok(())) => {
+                return Err(format!("{}: THE ARM DID NOT STOP, it went on to the end", way.name()));
+            }
+            (None, Ok(())) => return Err(format!("{}: the arm was never fast enough", way.name())),
+            (None, Err(why)) => return Err(format!("{}: {why}", way.name())),
+        };
         complain(&figures(way, &frames, at_s)?);
     }
     Ok(())
 }
 
-fn ended_early(ended: &Result<(), String>) -> String {
-    match ended {
-        Ok(()) => "the arm was never fast enough to be stopped".to_string(),
-        Err(why) => why.clone(),
-    }
+/// Of the leading joint on the way across, rad/s.
+fn transfer_speed(path: &SentPath) -> Option<f64> {
+    path.segments.iter().find_map(|segment| match segment {
+        Segment::Joint { speed, .. } => Some(*speed),
+        Segment::Linear { .. } => None,
+    })
 }
 
 fn address(host: &str) -> Result<IpAddr, String> {
@@ -116,10 +134,34 @@ fn address(host: &str) -> Result<IpAddr, String> {
 struct Trigger {
     way: Way,
     host: IpAddr,
+    crossing: Crossing,
     across_rad_s: f64,
     /// The controller's time when it was stopped, s.
     at_s: Option<f64>,
-    ended: bool,
+    /// The dashboard's answer, once there is one.
+    answer: Option<std::thread::JoinHandle<Result<String, String>>>,
+}
+
+impl Trigger {
+    /// The arm is in the middle of the way across, and fast.
+    fn is_due(&self, state: &RobotState) -> bool {
+        let (from, to) = (&self.crossing.lifted.0, &self.crossing.over.0);
+        let leading = (0..6).max_by(|a, b| (to[*a] - from[*a]).abs().total_cmp(&(to[*b] - from[*b]).abs()));
+        let Some(joint) = leading else { return false };
+        let share = (state.q.0[joint] - from[joint]) / (to[joint] - from[joint]);
+        let near = state.q.max_difference(&self.crossing.lifted.lerp(&self.crossing.over, share)) <= NEAR_RAD;
+        near && MIDDLE.contains(&share) && state.qd[joint].abs() >= FAST * self.across_rad_s
+    }
+
+    /// Why the dashboard has not taken the stop; `None` where it has, or got no request.
+    fn refused(&mut self) -> Option<String> {
+        let answer = self.answer.take()?.join().unwrap_or_else(|_| Err("the request has failed".to_string()));
+        match answer {
+            Ok(answer) if answer == "Stopped" => None,
+            Ok(answer) => Some(format!("the dashboard answers {answer:?}")),
+            Err(why) => Some(why),
+        }
+    }
 }
 
 /// The trigger as the loop's observer; `fired` says that the round is to be stopped by order.
@@ -132,17 +174,17 @@ impl Observer for Watch<'_> {
     fn on(&mut self, _now: Timestamp, scene: Scene) {
         let Scene::Robot(state) = scene else { return };
         let trigger = &mut *self.trigger;
-        if trigger.ended || fastest(&state.qd) < FAST * trigger.across_rad_s {
+        if trigger.at_s.is_some() || !trigger.is_due(state) {
             return;
         }
-        (trigger.at_s, trigger.ended) = (Some(state.controller_time_s), true);
+        trigger.at_s = Some(state.controller_time_s);
         match trigger.way {
             Way::Order => self.fired.set(true),
             // The loop does nothing meanwhile: no heartbeat leaves it.
             Way::Silence => std::thread::sleep(SILENT),
             Way::Dashboard => {
                 let host = trigger.host;
-                std::thread::spawn(move || request(host, "stop"));
+                trigger.answer = Some(std::thread::spawn(move || request(host, "stop")));
             }
         }
     }

@@ -10,7 +10,7 @@ use crate::config::cell::CellConfig;
 use crate::config::load::load_cell;
 use crate::config::setup::{Measured, cell_model, nominal_model};
 use crate::daemon::shell::{Observer, Shell};
-use cell_calibration::blends::SentPath;
+use cell_calibration::blends::{SentPath, fastest_m_s};
 use cell_edge::clock::unix_now_s;
 use cell_edge::terminal::complain;
 use cell_machine::event::Arm;
@@ -18,7 +18,7 @@ use cell_machine::supervisor::model::CellModel;
 use cell_machine::supervisor::round::RoundOrder;
 use cell_motion::bodies::Room;
 use cell_motion::crossing::Crossing;
-use cell_values::units::{Joints, deg_from_rad};
+use cell_values::units::Joints;
 use cell_vision::camera::CameraModel;
 use rearrange::document::chain::chain;
 use std::path::PathBuf;
@@ -65,19 +65,20 @@ impl Trial {
         let arm = shell.identify(stopped).await.map_err(|error| chain(&error))?;
         // What was sent meanwhile is old.
         shell.listen().await;
-        let from = shell.robot_state().ok_or("the robot does not say where it is")?.q;
+        let from = shell.robot_state().ok_or("no current joint positions from the robot")?.q;
         let model = model(config, &arm)?;
         let room = Room::new(&model.arm.bodies, &model.cycle.tabletop(Vec::new()), None);
         let workspace = [model.workspace.width, model.workspace.height];
         let crossing = Crossing::over_table(&model.arm, &from, workspace, &model.cycle, &room)
             .map_err(|fault| format!("no way over the table: {}", chain(&fault)))?;
-        announce(&model, &crossing, then);
+        let mut trial = Trial { shell, arm, model, room, crossing };
+        trial.announce(then)?;
         if !yes {
             let free = "when the arm's reach is free of people and things and nothing hangs on the gripper";
             return Err(format!("nothing has moved; {free}, add --yes"));
         }
-        shell.commission(model.clone(), false);
-        Ok(Trial { shell, arm, model, room, crossing })
+        trial.shell.commission(trial.model.clone(), false);
+        Ok(trial)
     }
 
     /// The path that the arm takes on a crossing.
@@ -102,16 +103,13 @@ impl Trial {
 
 /// The cell as it is calibrated, or as it is drawn where it is not yet.
 fn model(config: &CellConfig, arm: &Arm) -> Result<CellModel, String> {
-    match read_calibration(config).and_then(|set| measured(config, &set, arm)) {
-        Ok(measured) => {
-            let measured = Measured { blends: true, ..measured };
-            cell_model(config, &measured).map_err(|error| error.to_string())
-        }
-        Err(_) => {
-            complain("no calibration of this arm yet: the table is where the configuration draws it");
-            Ok(drawn_model(config, arm))
-        }
+    let files = &config.calibration;
+    if [&files.camera, &files.hand_eye, &files.table].iter().all(|path| !path.exists()) {
+        complain("no calibration files yet: the table position is that of the configuration");
+        return Ok(drawn_model(config, arm));
     }
+    let measured = read_calibration(config).and_then(|set| measured(config, &set, arm))?;
+    cell_model(config, &Measured { blends: true, ..measured }).map_err(|error| error.to_string())
 }
 
 /// The model of a cell as it is drawn, for an arm that has no camera yet: nothing is looked at.
@@ -130,20 +128,23 @@ fn drawn_model(config: &CellConfig, arm: &Arm) -> CellModel {
     CellModel { sight: None, ..nominal_model(config, arm, &lens) }
 }
 
-fn announce(model: &CellModel, crossing: &Crossing, then: &str) {
-    let place = |q: &Joints| {
-        let at = model.arm.tool_at(q).translation;
-        format!("({:.2}, {:.2}, {:.2})", at.x, at.y, at.z)
-    };
-    let cycle = &model.cycle;
-    complain(&format!(
-        "the tool goes slowly to {} m over the table, then up to {}, across to {}, down to {} and {then}, at up to \
-         {:.2} m/s and {:.0} degrees/s",
-        place(&crossing.start),
-        place(&crossing.lifted),
-        place(&crossing.over),
-        place(&crossing.end),
-        cycle.tool_speed,
-        deg_from_rad(cycle.joint_speed),
-    ));
+impl Trial {
+    /// What the arm will do; `then` follows the way down.
+    fn announce(&self, then: &str) -> Result<(), String> {
+        let place = |q: &Joints| {
+            let at = self.model.arm.tool_at(q).translation;
+            format!("({:.2}, {:.2}, {:.2})", at.x, at.y, at.z)
+        };
+        let Crossing { start, lifted, over, end, .. } = &self.crossing;
+        let fastest_m_s = fastest_m_s(&self.model.arm, &self.path(&self.crossing)?);
+        complain(&format!(
+            "the tool goes slowly to {} m over the table, then up to {}, across to {}, down to {}, and {then}; it \
+             moves at up to {fastest_m_s:.2} m/s; an arm that is off is powered on first",
+            place(start),
+            place(lifted),
+            place(over),
+            place(end),
+        ));
+        Ok(())
+    }
 }

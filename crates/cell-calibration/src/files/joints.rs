@@ -94,14 +94,14 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read_back() {
+    fn written_samples_are_read_back() {
         let track = parse(&text()).unwrap();
         assert_eq!(track.times_s, [41.0, 41.002]);
         assert_eq!(track.joints, [Joints([0.1, -1.5, 2.0, 3.0, 4.0, -5.25]); 2]);
     }
 
     #[test]
-    fn what_is_no_recording_is_named_with_its_line() {
+    fn invalid_recordings_report_the_line() {
         let said = |from: &str, to: &str| {
             assert!(text().contains(from));
             parse(&text().replace(from, to)).unwrap_err()

@@ -1,8 +1,8 @@
 //! The controller's software: which version celld needs, and for what.
 //!
-//! In: major and minor version, or the dashboard's text with it. Out: why it is too old, in words; what it can.
-//! Pure. Source: the vendor's dashboard server manual and script manual, which give the version with each
-//! command.
+//! In: major and minor version, or the dashboard's text with it. Out: why it is too old, in words; what it
+//! can. Pure. Source: the vendor's dashboard server manual and script manual, which give the version with
+//! each command.
 
 /// The first version with both of the dashboard's commands that celld cannot do without.
 const NEEDED: [u32; 2] = [5, 6];

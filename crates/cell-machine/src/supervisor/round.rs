@@ -58,6 +58,12 @@ pub enum RoundFault {
     /// A crossing cannot be carried out.
     #[error("a way through cut corners")]
     Crossing(#[source] PathFault),
+    /// It came to rest elsewhere.
+    #[error("the arm came to rest {off_mrad:.0} mrad from where its way ends")]
+    Elsewhere {
+        /// How far the farthest joint was.
+        off_mrad: f64,
+    },
     /// What stopped the robot.
     #[error("the round ended, or was not begun: {0}")]
     Robot(String),
@@ -72,9 +78,16 @@ pub(crate) struct Round {
     pub order: RoundOrder,
     /// Index of the pose that is visited.
     pub at: usize,
+    /// The arm is on the crossing itself, not on its way to where that begins.
+    #[serde(default)]
+    pub crosses: bool,
 }
 
 impl Round {
+    pub fn new(order: RoundOrder) -> Round {
+        Round { order, at: 0, crosses: false }
+    }
+
     /// Number of the pose, from 1, and how many there are.
     pub fn progress(&self) -> (usize, usize) {
         (self.at + 1, self.order.poses.len() + self.order.crossings.len())

@@ -1,17 +1,18 @@
 //! A calibration round: slow moves to given poses, one picture at each; or ways through cut corners, at the
 //! speeds of the configuration, for a recorder.
 //!
-//! In: the poses and the taught box; the order to begin is the operator's leave to move (design, section
-//! 7, rule 1, class *calibrate*). `celld calibrate` hands poses over and arms by it; a person at the page
-//! orders the round of the taught poses in a cell that is armed, holds nothing and works on nothing. Out:
-//! a picture request at each pose where the arm is at rest, and at the end the cell disarmed, whatever
+//! In: the poses and the taught box, or the ways; the order to begin is the operator's leave to move. Poses
+//! are of the class *calibrate*: in the box, at most 0.1 m/s. A crossing is like the way to a look: the
+//! gripper empty, the path checked. `celld calibrate` hands poses over and arms by it; a person at the page
+//! orders the round of the taught poses in a cell that is armed, holds nothing and works on nothing. Out: a
+//! picture request at each pose where the arm is at rest, and at the end the cell disarmed, whatever
 //! happened, and the on-robot program ended, or stopped where a stop ended the round. The gates and the
 //! bring-up are those of every other motion.
 
 use crate::device::robot_types::RobotCommand;
 use crate::orders::Reply;
 use crate::supervisor::cell::Supervisor;
-use crate::supervisor::gates;
+use crate::supervisor::gates::{self, GateClosed};
 use crate::supervisor::input::{Action, CameraFault, DeviceSnapshot};
 use crate::supervisor::mode::Mode;
 use crate::supervisor::phase::{Phase, Visit};
@@ -22,8 +23,8 @@ use cell_motion::slow::slow_move;
 use cell_values::time::{Duration, Timestamp};
 use cell_values::units::Joints;
 
-/// An arm within this of the start of a crossing, or of its end, is there, rad.
-const AT_START_RAD: f64 = 5e-3;
+/// An arm within this of the start of a crossing, or of its end, is there, rad: resting arms repeat to 1e-4.
+const AT_START_RAD: f64 = 1e-3;
 
 /// The arm is at rest for this long before a picture.
 const SETTLE: Duration = Duration::from_millis(500);
@@ -46,7 +47,7 @@ impl Supervisor {
         self.waiting_since = now;
         let way_back = self.back.recovery.is_some().then_some("a way back is under way");
         let why = self.under_way(devices).or(way_back).map(str::to_string);
-        let why = why.or_else(|| self.round_gate(devices));
+        let why = why.or_else(|| self.round_gate(devices)).or_else(|| self.crossing_gate(&order, devices));
         let why = why.or_else(|| {
             (!self.mode.arm()).then(|| match &self.mode {
                 Mode::Locked(reason) => reason.clone(),
@@ -57,7 +58,7 @@ impl Supervisor {
         });
         match why {
             Some(why) => out.push(Action::RoundOver(Err(RoundFault::Robot(why)))),
-            None => self.round = Some(Round { order, at: 0 }),
+            None => self.round = Some(Round::new(order)),
         }
     }
 
@@ -90,7 +91,7 @@ impl Supervisor {
             return no(format!("{}; {}", self.place(&closed), closed.hint()));
         }
         self.waiting_since = now;
-        self.round = Some(Round { order, at: 0 });
+        self.round = Some(Round::new(order));
         None
     }
 
@@ -113,11 +114,19 @@ impl Supervisor {
         Some(format!("{}; {}", self.place(&closed), closed.hint_to_try_again()))
     }
 
+    /// Crossings are as fast as work, so nothing may hang on the gripper. One that does not answer, as on an
+    /// arm without any, is for the person to see who has ordered them.
+    fn crossing_gate(&self, order: &RoundOrder, devices: &DeviceSnapshot) -> Option<String> {
+        let held = gates::empty_handed(devices).err().filter(|closed| *closed == GateClosed::Holding);
+        let held = held.filter(|_| !order.crossings.is_empty())?;
+        Some(format!("{}; {}", self.place(&held), held.hint_to_try_again()))
+    }
+
     /// Sends the arm to the next pose; after the last one the round is over.
     pub(crate) fn begin_visit(&mut self, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
         let (Some(round), Some(robot)) = (&self.round, devices.robot) else { return };
         if let Some(crossing) = round.order.crossing(round.at).copied() {
-            return self.begin_crossing(robot.q, crossing, out);
+            return self.begin_crossing(devices, robot.q, crossing, out);
         }
         let Some(target) = round.order.poses.get(round.at).copied() else {
             return self.end_round(Ok(()), out);
@@ -134,10 +143,23 @@ impl Supervisor {
     }
 
     /// Sends the arm slowly to where the crossing begins, or on it, if it stands there.
-    fn begin_crossing(&mut self, q: Joints, crossing: Crossing, out: &mut Vec<Action>) {
+    fn begin_crossing(
+        &mut self,
+        devices: &DeviceSnapshot,
+        q: Joints,
+        crossing: Crossing,
+        out: &mut Vec<Action>,
+    ) {
+        let at_start = q.max_difference(&crossing.start) <= AT_START_RAD;
+        let Some(round) = &mut self.round else { return };
+        round.crosses = at_start;
+        let pose = round.at + 1;
+        if gates::empty_handed(devices) == Err(GateClosed::Holding) {
+            let held = self.place(&GateClosed::Holding);
+            return self.end_round(Err(RoundFault::Robot(held)), out);
+        }
         let (arm, over) = (&self.model.arm, self.unseen_room());
-        let pose = self.round.as_ref().map_or(0, |round| round.at + 1);
-        let path = if q.max_difference(&crossing.start) > AT_START_RAD {
+        let path = if !at_start {
             slow_move(arm, None, &over, pose, &q, crossing.start).map_err(RoundFault::Move)
         } else {
             let path = crossing.path(arm, &q, &self.model.cycle, &over, self.hold());
@@ -152,12 +174,16 @@ impl Supervisor {
         }
     }
 
-    /// The arm rests where a crossing begins or ends.
-    fn crossing_rests(&mut self, q: &Joints) {
+    /// The arm rests where a crossing begins or ends; if it rests elsewhere, the round ends.
+    fn crossing_rests(&mut self, q: &Joints, out: &mut Vec<Action>) {
         let Some(round) = &mut self.round else { return };
-        if round.order.crossing(round.at).is_some_and(|at| q.max_difference(&at.end) <= AT_START_RAD) {
-            round.at += 1;
+        let Some(crossing) = round.order.crossing(round.at) else { return };
+        let place = if round.crosses { crossing.end } else { crossing.start };
+        let off = q.max_difference(&place);
+        if off > AT_START_RAD {
+            return self.end_round(Err(RoundFault::Elsewhere { off_mrad: 1e3 * off }), out);
         }
+        round.at += usize::from(round.crosses);
         self.phase = Phase::Ready;
     }
 
@@ -169,7 +195,8 @@ impl Supervisor {
         if rested < SETTLE {
             rest.report(now).into_iter().for_each(|why| say(out, why));
         } else if self.round.as_ref().is_some_and(|round| round.order.crossing(round.at).is_some()) {
-            self.crossing_rests(&robot.q);
+            let q = robot.q;
+            self.crossing_rests(&q, out);
         } else {
             let pose = self.round.as_ref().map_or(0, |round| round.at + 1);
             let base_from_flange = self.model.arm.kinematics.forward(&robot.q);

@@ -251,8 +251,8 @@ impl Supervisor {
             WorkStage::Carrying { .. } => {
                 work.stage = WorkStage::Releasing;
                 out.push(Action::Gripper(GripperCommand::Release { channels }));
-                // The object stands on its place: the controller takes the payload off while the vacuum falls. A
-                // release that fails ends in a stop, after which the program is given what hangs.
+                // The object stands on its place: the controller takes the payload off while the vacuum
+                // falls. A release that fails ends in a stop, after which the program is given what hangs.
                 self.set_payload(0.0, out);
             }
             WorkStage::Retreating => return self.left_the_place(now, out),

@@ -6,6 +6,8 @@ use super::*;
 use crate::supervisor::gates::GateClosed;
 use crate::supervisor::round::RoundFault;
 use crate::supervisor::status::Doing;
+use cell_motion::bodies::Room;
+use cell_motion::crossing::Crossing;
 
 /// A round of one pose, on its way there.
 pub(super) fn round_under_way() -> Bench {
@@ -195,4 +197,85 @@ fn no_calibration_round_begins_where_an_operator_could_not_arm() {
     bench.feed(Input::Shutdown);
     let ending = bench.feed(round());
     assert!(matches!(over(&ending), Some(Err(RoundFault::Robot(_)))), "{ending:?}");
+}
+
+/// One way over the table of the test's cell.
+fn crossing() -> Crossing {
+    let model = model();
+    let room = Room::new(&model.arm.bodies, &model.cycle.tabletop(Vec::new()), None);
+    Crossing::over_table(&model.arm, &HOME, [0.5, 0.5], &model.cycle, &room).expect("a way")
+}
+
+/// The arm has followed its path to here and rests.
+fn arrived(bench: &mut Bench, q: Joints) -> Vec<Action> {
+    bench.robot.q = q;
+    let mut all = bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
+    all.extend(bench.ticks(100));
+    all
+}
+
+fn over(actions: &[Action]) -> Option<Result<(), RoundFault>> {
+    actions.iter().find_map(|action| match action {
+        Action::RoundOver(result) => Some(result.clone()),
+        _ => None,
+    })
+}
+
+#[test]
+fn a_crossing_begins_at_its_start_and_each_is_crossed_once() {
+    let there = crossing();
+    let mut bench = Bench::new();
+    bench.feed(Input::Round(Box::new(RoundOrder::crossings(vec![there, there.back()]))));
+    let path = |actions: &[Action]| {
+        let mut paths = actions.iter().filter_map(|action| match action {
+            Action::Robot(RobotCommand::Stream(path)) => Some((path.segments().len(), path.end())),
+            _ => None,
+        });
+        paths.next_back()
+    };
+    assert_eq!(path(&bench.ticks(20)), Some((1, there.start)), "slowly to the start");
+    assert_eq!(path(&arrived(&mut bench, there.start)), Some((3, there.end)));
+    assert_eq!(path(&arrived(&mut bench, there.end)), Some((3, there.start)), "back, without a way between");
+    let ended = arrived(&mut bench, there.start);
+    assert_eq!((path(&ended), over(&ended)), (None, Some(Ok(()))));
+    assert!(!ended.iter().any(|action| matches!(action, Action::Picture { .. })));
+    assert!(!bench.cell.mode().armed());
+}
+
+#[test]
+fn an_arm_that_rests_elsewhere_is_not_sent_again() {
+    let there = crossing();
+    for at in [there.start, there.end] {
+        let mut bench = Bench::new();
+        bench.feed(Input::Round(Box::new(RoundOrder::crossings(vec![there]))));
+        bench.ticks(20);
+        if at == there.end {
+            arrived(&mut bench, there.start);
+        }
+        let mut beside = at;
+        beside.0[1] += 0.004;
+        let ended = arrived(&mut bench, beside);
+        assert!(matches!(over(&ended), Some(Err(RoundFault::Elsewhere { .. }))), "{ended:?}");
+        assert_eq!(streams(&ended), 0);
+        assert!(!bench.cell.mode().armed());
+    }
+}
+
+/// Crossings are as fast as work; a round for pictures is slow, and only looks.
+#[test]
+fn with_something_on_the_cups_there_is_no_crossing() {
+    let there = crossing();
+    let mut bench = Bench::new();
+    bench.vacuum = [0.5, 0.0];
+    bench.ticks(3);
+    let refused = bench.feed(Input::Round(Box::new(RoundOrder::crossings(vec![there]))));
+    assert!(matches!(over(&refused), Some(Err(RoundFault::Robot(_)))), "{refused:?}");
+    assert!(!bench.cell.mode().armed());
+    // It is taken up on the way to the start.
+    let mut bench = Bench::new();
+    bench.feed(Input::Round(Box::new(RoundOrder::crossings(vec![there]))));
+    assert_eq!(streams(&bench.ticks(20)), 1);
+    bench.vacuum = [0.5, 0.0];
+    let ended = arrived(&mut bench, there.start);
+    assert!(matches!(over(&ended), Some(Err(RoundFault::Robot(_)))) && streams(&ended) == 0, "{ended:?}");
 }
