@@ -42,8 +42,14 @@ pub(super) struct Conduct {
     /// What is not reported yet.
     pub found: Found,
     moved: bool,
+    /// A hand moves the arm, or has moved it and the arm has not come to rest since.
+    by_hand: bool,
     /// When it moved last, not by hand and with a link that brought states.
     moved_at: u64,
+    /// When the slider last held its program up, with a link that brought states.
+    held_up_at: u64,
+    /// What went on without a link may last until then.
+    unreached_until: u64,
     stopped_at: Option<u64>,
     /// Frames for which the arm has not moved, and when it last began to, from standstill.
     still: u64,

@@ -22,8 +22,11 @@ const ANSWER_WITHIN: Duration = Duration::from_millis(200);
 /// The arm counts as moving above this joint speed, rad/s.
 const MOVES_RAD_S: f64 = 0.005;
 
-/// Output register with the number of the running program.
+/// Output registers (hardware/ur5e/README.md): the running program's number, the last command it has taken,
+/// and the last that it has carried out.
 const NONCE: usize = 24;
+const ACCEPTED: usize = 25;
+const FINISHED: usize = 26;
 
 /// What is true in this frame.
 pub(super) struct Truth<'a> {
@@ -57,8 +60,10 @@ pub(super) struct Truth<'a> {
     pub local: bool,
     /// A person holds the freedrive button.
     pub guided: bool,
-    /// The button is held and no program plays: only a hand can move the arm.
+    /// The button is held and no program has anything to carry out: only a hand can move the arm.
     pub by_hand: bool,
+    /// A program plays that has something to carry out.
+    pub carries_out: bool,
     /// The controller's robot mode.
     pub mode: RobotMode,
     /// The cell as the machine has it; none before it is commissioned.
@@ -89,6 +94,10 @@ impl<'a> Truth<'a> {
         let full =
             core.mover.scaling().min(core.mover.pace()) >= 1.0 && core.registers.speed_fraction() >= 1.0;
         let safe = core.modes.motion_allowed();
+        let outputs = &core.registers.output_ints;
+        let ours = programs.name().is_some_and(|name| name.starts_with("celld_"));
+        let idle = ours && outputs[ACCEPTED] == outputs[FINISHED];
+        let carries_out = programs.playing() && !idle;
         Truth {
             frame,
             q: core.mover.q(),
@@ -105,7 +114,8 @@ impl<'a> Truth<'a> {
             safe,
             local: !core.modes.remote(),
             guided: core.pendant.freedrive,
-            by_hand: core.pendant.freedrive && !programs.playing(),
+            by_hand: core.pendant.freedrive && !carries_out,
+            carries_out,
             mode: core.modes.robot_mode(),
             supervisor: machine.supervisor(),
             status,

@@ -69,6 +69,9 @@ pub(crate) struct Back {
     pub ended: Option<Result<String, String>>,
     /// The vacuum holds something.
     pub grips: bool,
+    /// Since when the gripper has shown no vacuum after a start.
+    #[serde(default)]
+    pub empty_since: Option<Timestamp>,
     pub held: Option<Held>,
     /// That the vacuum fell at the last pick-n-place.
     pub weak: Option<String>,

@@ -15,7 +15,7 @@ use crate::supervisor::phase::{Phase, WorkStage};
 use crate::supervisor::reason::alarm;
 use cell_motion::bodies::Load;
 use cell_motion::put_down::Grasp;
-use cell_values::time::Timestamp;
+use cell_values::time::{Duration, Timestamp};
 use cell_vision::foreign::HeldBody;
 use cell_vision::observe::Observation;
 use rearrange::geometry::pose::Pose2;
@@ -32,6 +32,9 @@ const TAKEN_OFF: &str = "it was taken off by a person's order";
 
 /// Corners of a curve, and of what may be anything.
 const HELD_CORNERS: usize = 32;
+
+/// A gripper that shows no vacuum for so long after a start holds nothing.
+const EMPTY_FOR: Duration = Duration::from_secs(1);
 
 impl Supervisor {
     /// What hangs on the gripper on a way back, as the camera beside it sees it. What was let go is no part
@@ -113,12 +116,19 @@ impl Supervisor {
         }
     }
 
-    /// At the first reading after a start: what an earlier celld had gripped hangs there if the vacuum holds
-    /// it. Less vacuum proves nothing: a gripper that has lost its object goes on pumping through open cups.
-    /// How it hangs was written down before it was picked.
+    /// After a start: what an earlier celld had gripped hangs there if the vacuum holds it. Less vacuum
+    /// proves nothing: a gripper that has lost its object goes on pumping through open cups. None at all has
+    /// to last: a gripper whose power was cut reads none for a moment. How it hangs was written down before
+    /// it was picked.
     pub(crate) fn name_what_hangs(&mut self, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
         if devices.vacuum.is_none() || !devices.gripper_answers {
             return;
+        }
+        if self.model.held_before.is_some() && !self.back.grips {
+            let now = self.clock();
+            if now.since(*self.back.empty_since.get_or_insert(now)) < EMPTY_FOR {
+                return;
+            }
         }
         let Some(before) = self.model.held_before.take() else { return };
         if !self.back.grips {
@@ -235,6 +245,9 @@ impl Supervisor {
         self.orders_reach()?;
         gates::arming(devices)?;
         gates::confirmed(&self.model.confirmed, devices.gripper_identity.as_ref())?;
+        if let Some(before) = &self.model.held_before {
+            return Err(GateClosed::MayHang(before.object.clone()));
+        }
         match &self.back.held {
             Some(held) if !held.let_go => Err(GateClosed::MayHang(held.object.clone())),
             None if self.back.fell.is_some() => Err(GateClosed::MayHang("what the gripper held".to_string())),

@@ -38,6 +38,9 @@ const OVERTAKEN_FRAMES: u64 = 500;
 /// The on-robot program's watchdog and the stop after it.
 const WATCHDOG_FRAMES: u64 = 350;
 
+/// Below this share of its speed a program stands where it is.
+const HELD_UP: f64 = 0.02;
+
 /// The arm stands in a corner of its path for 200 ms at most.
 const CORNER_FRAMES: u64 = 100;
 
@@ -80,11 +83,19 @@ impl Conduct {
         self.watch_gates(simulator, safe);
         self.check_lost(machine);
         self.check_answers(machine);
-        // A motion that begins by hand and goes on by itself begins when the hand lets go.
-        let began = moves && !truth.by_hand && !self.moved;
-        self.moved = moves && !truth.by_hand;
+        // A motion that begins by hand and goes on with a program begins when the hand lets go. Without one
+        // the arm only comes to rest.
+        self.by_hand = truth.by_hand || self.by_hand && moves && !truth.carries_out;
+        let began = moves && !self.by_hand && !self.moved;
+        self.moved = moves && !self.by_hand;
         if self.moved && !self.silent() {
             self.moved_at = frame;
+        }
+        if truth.carries_out && truth.speed < HELD_UP && !self.silent() {
+            self.held_up_at = frame;
+        }
+        if began && self.goes_on_unreached() {
+            self.unreached_until = self.state_before_silence() + WATCHDOG_FRAMES;
         }
         if began && !stranger && !self.stranger {
             self.check_begin(machine, nonce);
@@ -131,7 +142,8 @@ impl Conduct {
         } else {
             return;
         };
-        if moves && !self.stranger && !self.played_unreached() {
+        let unreached = self.played_unreached() || self.frame <= self.unreached_until;
+        if moves && !self.stranger && !unreached {
             self.breach(Rule::MotionAfterStop, detail.to_string());
             self.stopped_at = None;
         }
@@ -149,10 +161,10 @@ impl Conduct {
     }
 
     /// What was streamed before the link was gone goes on until the program's watchdog ends it, after a stop
-    /// in a corner too.
-    fn goes_on_from_corner(&self) -> bool {
+    /// in a corner too, or once the slider that held it up is moved.
+    fn goes_on_unreached(&self) -> bool {
         let gone = self.state_before_silence();
-        let on_its_way = gone <= self.moved_at + CORNER_FRAMES;
+        let on_its_way = gone <= self.moved_at.max(self.held_up_at) + CORNER_FRAMES;
         self.cut_off() && on_its_way && self.frame <= gone + WATCHDOG_FRAMES
     }
 
@@ -213,7 +225,7 @@ impl Conduct {
     fn check_begin(&mut self, machine: &Machine, nonce: i32) {
         let restarted = self.restarted_at.is_some_and(|at| self.frame <= at + WATCHDOG_FRAMES);
         // What was streamed before celld was gone goes on until the program's watchdog ends it.
-        if self.played_unreached() || restarted || self.goes_on_from_corner() {
+        if self.played_unreached() || restarted || self.goes_on_unreached() {
             return;
         }
         let Some(supervisor) = machine.supervisor() else {

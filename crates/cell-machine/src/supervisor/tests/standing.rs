@@ -396,8 +396,13 @@ fn what_an_earlier_celld_had_gripped_is_named_where_there_is_vacuum() {
         bench.ticks(3);
         let may = Some("a may hang on the cups");
         assert_eq!(bench.cell.status().held.as_deref(), may, "before the gripper answers");
-        (bench.gripper_answers, bench.vacuum) = (true, vacuum);
-        let all = bench.ticks(3);
+        (bench.gripper_answers, bench.vacuum) = (true, [0.0, 0.0]);
+        bench.ticks(3);
+        assert_eq!(bench.cell.status().held.as_deref(), may, "a gripper whose power was cut shows no vacuum");
+        bench.feed(order(Order::Arm));
+        assert!(!bench.cell.mode().armed(), "it may hang there");
+        bench.vacuum = vacuum;
+        let all = bench.ticks(150);
         let let_go =
             all.iter().any(|action| matches!(action, Action::Commit { record: Record::LetGo { .. }, .. }));
         assert_eq!(let_go, held.is_none(), "what has gone is not taken for held at a later start");
