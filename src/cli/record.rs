@@ -22,7 +22,7 @@ pub const HELP: &str = "\
 500 lines a second: timestamp, actual_q_0 to 5 (rad), actual_qd_0 to 5 (rad/s), robot_mode,
 safety_mode, runtime_state. It only listens, also beside `celld run`.
   celld record --config config/cell.yaml --out moves.csv     # Ctrl-C ends it
-  celld-sim compare moves.csv program.script                 # the simulated arm, with the program of the moves";
+  celld-sim compare moves.csv program.script                 # against the simulated arm";
 
 /// `celld record`
 #[derive(Args, Clone, Debug)]

@@ -2,8 +2,8 @@
 //! a controller's blends are recorded.
 //!
 //! In: the arm, the cycle's heights and speeds, the size of the workspace, what may lie on the table. Out: a
-//! [`Crossing`], and its checked path. Its ends are [`OVER_ALL_M`] over everything that may lie on the
-//! table, and nothing of it is lower than [`LOWEST_M`], so that nothing has to be seen before. Pure.
+//! [`Crossing`], and its checked path. Its ends are 5 cm over everything that may lie on the
+//! table, and nothing of it is lower than 4 cm, so that nothing has to be seen before. Pure.
 
 use crate::bodies::Room;
 use crate::cycle::CycleParameters;

@@ -36,9 +36,9 @@ to a place over the table, then up, across, down and back, twice, at the speeds 
 configuration and at least 4 cm over everything that may lie on the table by the configuration.
 Without --yes celld prints the places, and nothing moves.
   celld calibrate blends --config config/cell.yaml --yes
-  celld-sim compare blends.csv blends.script    # in the calibration folder: against the simulated arm
+  celld-sim compare blends.csv blends.script    # in the calibration folder
 A real arm cuts corners only with this recording, with the same controller and software, and with
-limits that are no larger: record again after an update and before you raise a limit. Gripper and
+limits that are no larger: record again after an update and after you raise a limit. Gripper and
 camera may be absent. Without calibration files celld uses the table position of the configuration.";
 
 /// The joints are kept from so long before the first way on, s.

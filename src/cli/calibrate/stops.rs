@@ -31,7 +31,7 @@ table three times, at least 4 cm over everything that may lie there by the confi
 stopped in the middle of the transfer:
   by order    celld's own stop
   watchdog    celld sends no heartbeat for 0.6 s, the program on the robot has to stop the arm;
-              Ctrl-C is not heard in this time, the emergency stop is
+              Ctrl-C counts only afterwards, the emergency stop at once
   dashboard   `stop` over the dashboard
 The transfer before the watchdog's stop is slowed, so that it lasts long enough. Write the figures
 down: after an update of the controller they should be the same. Gripper, camera and calibration
