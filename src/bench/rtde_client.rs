@@ -5,7 +5,7 @@
 //! and a recorder claims no inputs.
 
 use std::io::{Read, Write};
-use std::net::{IpAddr, SocketAddr, TcpStream};
+use std::net::{IpAddr, SocketAddr, TcpStream, ToSocketAddrs};
 use std::time::{Duration, Instant};
 use ur_wire::rtde::{Reply, Request, Splitter, Version};
 use ur_wire::rtde_values::{Leftover, Offer, Recipe, Value};
@@ -19,6 +19,15 @@ pub const DASHBOARD: u16 = 29999;
 pub const PRIMARY: u16 = 30001;
 /// RTDE.
 pub const RTDE: u16 = 30004;
+
+/// The address of a controller's name.
+///
+/// # Errors
+/// It has none.
+pub fn address(host: &str) -> Result<IpAddr, String> {
+    let found = (host, 0).to_socket_addrs().map_err(|error| format!("{host}: {error}"))?;
+    found.map(|address| address.ip()).next().ok_or_else(|| format!("{host} has no address"))
+}
 
 /// A connection with an output recipe, and an input recipe if requested.
 pub struct Client {

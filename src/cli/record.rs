@@ -4,14 +4,14 @@
 //! (`cell_calibration::files::joints`), until Ctrl-C, or so many seconds. Nothing is written to the
 //! controller: no input is claimed, so that it can listen beside everything that moves the arm.
 
-use crate::bench::rtde_client::Client;
+use crate::bench::rtde_client::{Client, address};
 use crate::config::load::load_cell;
 use cell_calibration::files::joints::{JointSample, header, line};
 use cell_edge::terminal::complain;
 use clap::Args;
 use std::fs::File;
 use std::io::{BufWriter, Write};
-use std::net::{IpAddr, ToSocketAddrs};
+use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -69,11 +69,6 @@ pub fn run(args: &RecordArgs, stop: &Arc<AtomicBool>) -> u8 {
             1
         }
     }
-}
-
-fn address(host: &str) -> Result<IpAddr, String> {
-    let found = (host, 0).to_socket_addrs().map_err(|error| format!("{host}: {error}"))?;
-    found.map(|address| address.ip()).next().ok_or_else(|| format!("{host} has no address"))
 }
 
 /// Returns how many samples are in the file.

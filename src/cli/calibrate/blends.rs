@@ -81,7 +81,7 @@ async fn record(config: &CellConfig, yes: bool, stop: Arc<AtomicBool>) -> Result
         Ok((recording, csv)) => keep(config, &recording, &yaml, &csv),
         Err(why) => {
             // What was recorded before is no proof any more.
-            let void = files::remove(&config.calibration.blends).map_err(|error| chain(&error));
+            let void = files::take_away(&config.calibration.blends).map_err(|error| chain(&error));
             let kept = void.err().map_or(String::new(), |error| format!("; {error}: remove it by hand"));
             Err(format!("{why}; no recording is kept, celld has the arm stop at each corner{kept}"))
         }
@@ -159,7 +159,7 @@ fn script(paths: &[SentPath]) -> String {
     text + "end\n"
 }
 
-/// Keeps the joints, and what is seen of the on-robot program.
+/// Records the arm's joints, and the on-robot program's size and start.
 #[derive(Default)]
 struct Recorder {
     samples: Vec<JointSample>,

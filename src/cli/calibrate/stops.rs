@@ -5,7 +5,7 @@
 //! recording of every controller frame beside celld. Nothing is kept: the figures belong into the cell's
 //! papers.
 
-use crate::bench::rtde_client::{Client, request};
+use crate::bench::rtde_client::{Client, address, request};
 use crate::cli::calibrate::trial::{Trial, TrialArgs};
 use crate::cli::daemon::with_runtime;
 use crate::config::cell::CellConfig;
@@ -16,7 +16,7 @@ use cell_machine::device::robot_types::RobotState;
 use cell_motion::crossing::Crossing;
 use cell_motion::path::Segment;
 use cell_values::time::Timestamp;
-use std::net::{IpAddr, ToSocketAddrs};
+use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
@@ -123,11 +123,6 @@ fn transfer_speed(path: &SentPath) -> Option<f64> {
         Segment::Joint { speed, .. } => Some(*speed),
         Segment::Linear { .. } => None,
     })
-}
-
-fn address(host: &str) -> Result<IpAddr, String> {
-    let found = (host, 0).to_socket_addrs().map_err(|error| format!("{host}: {error}"))?;
-    found.map(|address| address.ip()).next().ok_or_else(|| format!("{host} has no address"))
 }
 
 /// Stops the arm once it is fast.

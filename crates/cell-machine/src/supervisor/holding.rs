@@ -122,6 +122,7 @@ impl Supervisor {
     /// it was picked.
     pub(crate) fn name_what_hangs(&mut self, devices: &DeviceSnapshot, out: &mut Vec<Action>) {
         if devices.vacuum.is_none() || !devices.gripper_answers {
+            self.back.empty_since = None;
             return;
         }
         if self.model.held_before.is_some() && !self.back.grips {

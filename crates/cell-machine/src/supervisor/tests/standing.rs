@@ -401,6 +401,11 @@ fn what_an_earlier_celld_had_gripped_is_named_where_there_is_vacuum() {
         assert_eq!(bench.cell.status().held.as_deref(), may, "a gripper whose power was cut shows no vacuum");
         bench.feed(order(Order::Arm));
         assert!(!bench.cell.mode().armed(), "it may hang there");
+        bench.gripper_answers = false;
+        bench.ticks(150);
+        bench.gripper_answers = true;
+        bench.ticks(1);
+        assert_eq!(bench.cell.status().held.as_deref(), may, "silence is no second without vacuum");
         bench.vacuum = vacuum;
         let all = bench.ticks(150);
         let let_go =
