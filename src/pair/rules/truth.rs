@@ -60,8 +60,8 @@ pub(super) struct Truth<'a> {
     pub local: bool,
     /// A person holds the freedrive button.
     pub guided: bool,
-    /// The button is held and no program has anything to carry out: only a hand can move the arm.
-    pub by_hand: bool,
+    /// No program moves the arm: where it moves, forces move it.
+    pub yields: bool,
     /// A program plays that has something to carry out.
     pub carries_out: bool,
     /// The controller's robot mode.
@@ -114,7 +114,7 @@ impl<'a> Truth<'a> {
             safe,
             local: !core.modes.remote(),
             guided: core.pendant.freedrive,
-            by_hand: core.pendant.freedrive && !carries_out,
+            yields: core.mover.has_braked(),
             carries_out,
             mode: core.modes.robot_mode(),
             supervisor: machine.supervisor(),

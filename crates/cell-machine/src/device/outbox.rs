@@ -25,6 +25,12 @@ impl<E> Outbox<E> {
         self.transmit.push_back(bytes);
     }
 
+    /// Takes back what was pushed last and is not polled yet; false if nothing is left to take back.
+    #[must_use]
+    pub fn take_back(&mut self) -> bool {
+        self.transmit.pop_back().is_some()
+    }
+
     /// Something happened.
     pub fn report(&mut self, event: E) {
         self.events.push_back(event);

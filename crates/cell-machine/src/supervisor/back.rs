@@ -75,7 +75,7 @@ pub(crate) struct Back {
     pub held: Option<Held>,
     /// That the vacuum fell at the last pick-n-place.
     pub weak: Option<String>,
-    /// What fell, and where the tool was.
+    /// What fell, and where the tool was, or what did not seal.
     pub fell: Option<String>,
     /// Since when the arm is in a protective stop.
     pub protective_since: Option<Timestamp>,

@@ -107,8 +107,13 @@ impl Supervisor {
                 }
                 self.back.fell = Some(fell);
             }
-            GripperEvent::GripFailed { .. }
-            | GripperEvent::ReleaseFailed { .. }
+            // The pump stays on after a stop, but nothing is known to hang there.
+            GripperEvent::GripFailed { .. } => {
+                if let Some(held) = &self.back.held {
+                    self.back.fell = Some(format!("{} did not seal", held.object));
+                }
+            }
+            GripperEvent::ReleaseFailed { .. }
             | GripperEvent::Unreachable { .. }
             | GripperEvent::Answering
             | GripperEvent::Refused

@@ -83,9 +83,9 @@ impl Conduct {
         self.watch_gates(simulator, safe);
         self.check_lost(machine);
         self.check_answers(machine);
-        // A motion that begins by hand and goes on with a program begins when the hand lets go. Without one
-        // the arm only comes to rest.
-        self.by_hand = truth.by_hand || self.by_hand && moves && !truth.carries_out;
+        // A motion that begins by hand and goes on with a program begins when the program moves the arm.
+        // Without one the arm only comes to rest.
+        self.by_hand = truth.yields && (truth.guided || self.by_hand && moves);
         let began = moves && !self.by_hand && !self.moved;
         self.moved = moves && !self.by_hand;
         if self.moved && !self.silent() {

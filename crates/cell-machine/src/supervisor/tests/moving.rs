@@ -198,3 +198,21 @@ fn the_payload_is_that_of_what_counts_as_held_before_the_arm_moves_on() {
     let released = bench.feed(Input::Gripper(GripperEvent::Released));
     assert_eq!(requested(&released, gripper_kg), ["path"]);
 }
+
+/// The pump goes on after a stop; whether anything hangs on the cups shows by its vacuum alone.
+#[test]
+fn a_grip_that_a_stop_cut_off_is_not_reported_as_held() {
+    for (sealed, held) in [(true, "holds a"), (false, "a did not seal, or hangs on the cups")] {
+        let mut bench = working();
+        bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
+        bench.feed(order(Order::Abort));
+        let vacuum = if sealed { 0.6 } else { 0.05 };
+        bench.vacuum = [vacuum; 2];
+        bench.feed(Input::Gripper(match sealed {
+            true => GripperEvent::Gripped { vacuum },
+            false => GripperEvent::GripFailed { vacuum },
+        }));
+        assert_eq!(bench.cell.status().held.as_deref(), Some(held));
+        assert!(bench.cell.object_on_the_gripper().is_some() == sealed);
+    }
+}

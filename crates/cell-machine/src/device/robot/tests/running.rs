@@ -512,6 +512,20 @@ fn a_stop_takes_back_what_was_wanted_of_power_and_brakes() {
 }
 
 #[test]
+fn a_stop_in_the_same_turn_takes_back_the_line_before_it_is_sent() {
+    let mut rig = Rig::ready();
+    rig.fake.robot_mode = 5;
+    rig.fake.answers.insert("brake release".into(), "Brake releasing".into());
+    rig.run_ms(4);
+    rig.robot.command(rig.now, RobotCommand::ReleaseBrakes).expect("it is connected");
+    rig.command(RobotCommand::Stop);
+    rig.run_ms(2_000);
+    let sent = |line: &str| rig.fake.dashboard_lines.iter().filter(|sent| *sent == line).count();
+    assert_eq!((sent("brake release"), sent("power off")), (0, 0), "{:?}", rig.fake.dashboard_lines);
+    assert!(sent("robotmode") > 1, "the session goes on: {:?}", rig.fake.dashboard_lines);
+}
+
+#[test]
 fn power_that_cannot_be_taken_back_is_waited_for() {
     let mut rig = Rig::ready();
     rig.fake.robot_mode = 5;
