@@ -134,15 +134,16 @@ impl Views {
         let mut views = Views { table, columns, rows, heights, picture, poses: Vec::new() };
         let room = Room::new(&model.arm.bodies, &model.cycle.tabletop(Vec::new()), None);
         let mut sweep = Sweep::new(&model.arm.bodies, &room);
-        let computed = poses(model, table, heights);
-        for q in model.look_poses.iter().copied().chain(computed) {
-            // Whether it shows enough markers costs less to find out than whether it is free.
-            let camera_from_table = model.camera_at(&q).inverse();
-            if views.picture.shows_references(&camera_from_table)
-                && model.arm.outside_range(&q).is_none()
-                && sweep.place(&q, Zone::Over).is_ok()
-            {
-                let shows = views.shown(&camera_from_table, model.cycle.tallest);
+        let picture = views.picture.clone();
+        let shows_references = |aim: &Aim| picture.shows_references(&aim.table_from_camera().inverse());
+        // Whether a place shows enough markers costs least to find out, whether the arm is free there most.
+        let aims = straight_down(table, heights).filter(shows_references);
+        let computed = aims.filter_map(|aim| looking_along(model, &aim));
+        let taught = model.look_poses.iter().copied();
+        let taught = taught.filter(|q| picture.shows_references(&model.camera_at(q).inverse()));
+        for q in taught.chain(computed) {
+            if model.arm.outside_range(&q).is_none() && sweep.place(&q, Zone::Over).is_ok() {
+                let shows = views.shown(&model.camera_at(&q).inverse(), model.cycle.tallest);
                 views.poses.push(ViewPose { q, shows });
             }
         }
@@ -286,6 +287,16 @@ fn cheapest(
 #[derive(Clone, Copy)]
 struct Aim([f64; 6]);
 
+impl Aim {
+    fn table_from_camera(self) -> Isometry3<f64> {
+        let [x, y, z, turn, about_x, about_y] = self.0;
+        let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
+        let tilt = UnitQuaternion::from_scaled_axis(Vector3::new(about_x, about_y, 0.0));
+        let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * down * tilt;
+        Isometry3::from_parts(Translation3::new(x, y, z), turned)
+    }
+}
+
 /// First steps of the search, m and rad, and how far the camera is tilted at most, rad.
 const STEPS: [f64; 6] = [0.03, 0.03, 0.03, 0.15, 0.1, 0.1];
 const TILT_RAD: f64 = 0.2;
@@ -338,12 +349,12 @@ impl Search<'_> {
 
     /// The price of looking from there, and so much more for every place that has to be seen and is not.
     fn worth(&self, aim: &Aim) -> Option<(f64, Joints)> {
-        let [x, y, z, turn, about_x, about_y] = aim.0;
+        let [.., z, _, about_x, about_y] = aim.0;
         let (low, high) = self.views.heights;
         if !(low..=high).contains(&z) || about_x.abs() > TILT_RAD || about_y.abs() > TILT_RAD {
             return None;
         }
-        let q = looking_down(self.model, [x, y, z], [turn, about_x, about_y])?;
+        let q = looking_along(self.model, aim)?;
         let missed = self.views.missed(self.model, &q, &self.corners)?;
         Some(((self.price)(&[q]) + MISSED_S * missed as f64, q))
     }
@@ -430,35 +441,26 @@ fn heights(model: &Rig, sight: &SightModel) -> (f64, f64) {
     (least, most.min(large_enough.max(taught)))
 }
 
-/// Poses that look straight down on the table, in the posture of the work.
-fn poses(model: &Rig, table: [f64; 2], (least, most): (f64, f64)) -> Vec<Joints> {
+/// Places and turns of a camera that looks straight down on the table.
+fn straight_down(table: [f64; 2], (least, most): (f64, f64)) -> impl Iterator<Item = Aim> {
     let along = |length: f64| {
         let count = ((length + 2.0 * BEYOND_M) / STEP_M).ceil().clamp(1.0, 40.0) as usize;
         (0..=count).map(move |k| -BEYOND_M + (length + 2.0 * BEYOND_M) * k as f64 / count as f64)
     };
-    let mut out = Vec::new();
     let lowest = HEIGHTS.iter().copied().fold(f64::INFINITY, f64::min);
     let mut levels = HEIGHTS.map(|share| (share * least / lowest).min(most)).to_vec();
     levels.dedup();
-    for height in levels {
-        for x in along(table[0]) {
-            for y in along(table[1]) {
-                let turns = (0..TURNS).map(|k| TAU * k as f64 / TURNS as f64);
-                out.extend(turns.filter_map(|turn| looking_down(model, [x, y, height], [turn, 0.0, 0.0])));
-            }
-        }
-    }
-    out
+    let over = move |z: f64| along(table[0]).flat_map(move |x| along(table[1]).map(move |y| [x, y, z]));
+    let turned = |[x, y, z]: [f64; 3]| {
+        (0..TURNS).map(move |k| Aim([x, y, z, TAU * k as f64 / TURNS as f64, 0.0, 0.0]))
+    };
+    levels.into_iter().flat_map(over).flat_map(turned)
 }
 
-/// Joints that bring the camera to a place, turned about the vertical and tilted about its own axes, rad.
-fn looking_down(model: &Rig, [x, y, z]: [f64; 3], [turn, about_x, about_y]: [f64; 3]) -> Option<Joints> {
+/// Joints that bring the camera there, in the posture of the work.
+fn looking_along(model: &Rig, aim: &Aim) -> Option<Joints> {
     let flange_from_camera = model.mount.flange_from_camera()?;
-    let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
-    let tilt = UnitQuaternion::from_scaled_axis(Vector3::new(about_x, about_y, 0.0));
-    let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn) * down * tilt;
-    let table_from_camera = Isometry3::from_parts(Translation3::new(x, y, z), turned);
-    let tool = table_from_camera * flange_from_camera.inverse() * model.arm.flange_from_tool;
+    let tool = aim.table_from_camera() * flange_from_camera.inverse() * model.arm.flange_from_tool;
     model.arm.joints_in_work_posture(&tool, &model.arm.home)
 }
 

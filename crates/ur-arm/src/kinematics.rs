@@ -161,14 +161,19 @@ impl Kinematics {
             };
             values.into_iter().any(clearly_other)
         };
+        let starts = self.starts(base_from_flange);
         let mut solutions = Vec::new();
-        for (start, sure) in self.starts(base_from_flange) {
-            if !(sure && other(&start)) {
-                note(&mut solutions, self.refined(base_from_flange, &start, sure));
+        let mut others = 0;
+        for (start, sure) in &starts {
+            if *sure && other(start) {
+                others += 1;
+            } else {
+                note(&mut solutions, self.refined(base_from_flange, start, *sure));
             }
         }
         solutions.retain(|q| self.posture(q) == wanted);
-        if solutions.is_empty() {
+        // A pose that is reached in other families alone is not near the edge of reach.
+        if solutions.is_empty() && (starts.is_empty() || others < starts.len()) {
             solutions = self.inverse(base_from_flange);
             solutions.retain(|q| self.posture(q) == wanted);
         }
