@@ -19,8 +19,8 @@ pub struct GripperFacts {
     pub vacuum: Result<[f64; 2], ModbusFailure>,
     /// The two control registers, where they can be read: mode in the high byte, target in the low one.
     pub control: Option<[u16; 2]>,
-    /// What it says of itself.
-    pub identity: Identity,
+    /// What it says of itself, or why that could not be read.
+    pub identity: Result<Identity, ModbusFailure>,
     /// What the maker's service (XML-RPC, port 41414) says of a VGC10, where it answers, and at which host.
     pub service: Option<(String, Option<bool>)>,
     /// Which gripper a person has confirmed.
@@ -52,22 +52,33 @@ impl GripperFacts {
                 let fault = GripperFault::from(cause);
                 let hint = match fault {
                     GripperFault::Silent => SILENT_HINT,
-                    GripperFault::Taken | GripperFault::Refused | GripperFault::NoVacuum => {
-                        GateClosed::Gripper(fault).hint()
-                    }
+                    GripperFault::Taken
+                    | GripperFault::Refused
+                    | GripperFault::Unserved
+                    | GripperFault::NoVacuum => GateClosed::Gripper(fault).hint(),
                 };
                 return vec![problem("Modbus", format!("{}: {cause}", self.address), hint)];
             }
         };
         let mut lines = vec![Line::ok(Area::Gripper, "Modbus", format!("{} answers", self.address))];
         lines.push(vacuum_line(vacuum));
-        lines.extend(product_line(&self.identity));
-        lines.push(self.confirmed());
+        match &self.identity {
+            Ok(identity) => {
+                lines.extend(product_line(identity));
+                lines.push(self.confirmed(identity));
+            }
+            Err(cause) => lines.push(problem(
+                "identity",
+                format!("product, firmware or serial number could not be read: {cause}"),
+                "run `celld doctor` again; where it stays so, celld knows this gripper by its address alone \
+                 and needs `celld confirm-gripper` for it",
+            )),
+        }
         lines.extend(self.other_master());
         lines
     }
 
-    fn confirmed(&self) -> Line {
+    fn confirmed(&self, identity: &Identity) -> Line {
         let said = match &self.service {
             Some((host, Some(true))) => format!("; the maker's service at {host}:41414 finds a VGC10"),
             Some((host, Some(false))) => {
@@ -78,7 +89,7 @@ impl GripperFacts {
             }
             Some((_, None)) | None => String::new(),
         };
-        let closed = match gates::confirmed(&self.confirmed, Some(&self.identity)) {
+        let closed = match gates::confirmed(&self.confirmed, Some(identity)) {
             Ok(()) if self.confirmed == ConfirmedGripper::NotNeeded => {
                 return Line::ok(Area::Gripper, "identity", format!("not needed in a simulation{said}"));
             }
@@ -86,7 +97,7 @@ impl GripperFacts {
             Err(closed) => closed,
         };
         let found = match closed {
-            GateClosed::GripperOther => closed.to_string(),
+            GateClosed::GripperOther | GateClosed::GripperByAddress => closed.to_string(),
             _ => "no person has confirmed yet that this is the gripper on the arm".to_string(),
         };
         problem(

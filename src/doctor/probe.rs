@@ -103,9 +103,9 @@ fn arming_line(robot: &RobotFacts, gripper: &GripperFacts) -> Line {
         gripper_holds: false,
         gripper_answers: gripper.vacuum.is_ok(),
         gripper_fault: gripper.vacuum.as_ref().err().map(GripperFault::from).unwrap_or_default(),
-        gripper_identity: Some(gripper.identity),
+        gripper_identity: gripper.identity.as_ref().ok().copied(),
         vacuum: gripper.vacuum.clone().ok(),
     };
-    let confirmed = || gates::confirmed(&gripper.confirmed, Some(&gripper.identity));
+    let confirmed = || gates::confirmed(&gripper.confirmed, gripper.identity.as_ref().ok());
     arming(gates::arming(&devices).and_then(|()| confirmed()))
 }

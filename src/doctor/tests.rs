@@ -51,7 +51,7 @@ fn gripper() -> GripperFacts {
         address: "10.0.0.3:502, unit 65".into(),
         vacuum: Ok([0.0, 0.01]),
         control: Some([0, 0]),
-        identity: Identity { product: Some(0x11), firmware: Some([1, 2]), serial: Some(SERIAL) },
+        identity: Ok(Identity { product: Some(0x11), firmware: Some([1, 2]), serial: Some(SERIAL) }),
         service: None,
         confirmed: ConfirmedGripper::Serial("SG12".into()),
         daemon: false,
@@ -174,13 +174,18 @@ fn each_fault_of_the_controller_has_one_line() {
 #[test]
 fn each_fault_of_the_gripper_has_one_line() {
     use Verdict::{Note, Problem};
-    let cases: [Case<GripperFacts>; 12] = [
+    let cases: [Case<GripperFacts>; 15] = [
         (Problem, "Modbus", "end the other one", |f| f.vacuum = Err(ModbusFailure::Taken)),
         (Problem, "Modbus", "may still be starting", |f| f.vacuum = Err(ModbusFailure::Refused)),
         (Problem, "identity", "another gripper", |f| f.confirmed = ConfirmedGripper::Serial("SG13".into())),
+        (Problem, "Modbus", "end that one", |f| f.vacuum = Err(ModbusFailure::Unserved)),
+        (Problem, "identity", "has a serial number", |f| f.confirmed = ConfirmedGripper::AtAddress),
+        (Problem, "identity", "could not be read", |f| f.identity = Err(ModbusFailure::Timeout)),
         (Problem, "Modbus", "unit", |f| f.vacuum = Err(ModbusFailure::Connection("refused".into()))),
         (Problem, "Modbus", "firmware", |f| f.vacuum = Err(ModbusFailure::Exception(2))),
-        (Problem, "product", "0x20", |f| f.identity.product = Some(0x20)),
+        (Problem, "product", "0x20", |f| {
+            f.identity = Ok(Identity { product: Some(0x20), ..f.identity.clone().expect("a VGC10") });
+        }),
         (Problem, "vacuum", "celld recover", |f| f.vacuum = Ok([0.4, 0.0])),
         (Problem, "vacuum", "NaN", |f| f.vacuum = Ok([f64::NAN, 0.0])),
         (Problem, "identity", "celld confirm-gripper", |f| f.confirmed = ConfirmedGripper::None),
@@ -197,7 +202,8 @@ fn each_fault_of_the_gripper_has_one_line() {
         facts.lines().into_iter().find(|line| line.item == "product").map(|line| line.found)
     };
     assert_eq!(product(gripper()).as_deref(), Some("VGC10, firmware 1.2, serial number SG12"));
-    assert_eq!(product(GripperFacts { identity: Identity::default(), ..gripper() }), None, "older firmware");
+    let older = GripperFacts { identity: Ok(Identity::default()), ..gripper() };
+    assert_eq!(product(older), None, "older firmware");
     let other = GripperFacts { service: Some(("h".into(), Some(false))), ..gripper() };
     assert!(other.lines().iter().any(|line| line.item == "identity" && line.verdict == Problem));
     let commanded = GripperFacts { control: Some([0x0128, 0]), daemon: true, ..gripper() };

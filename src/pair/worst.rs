@@ -39,7 +39,8 @@ pub fn worst(stage: &mut Stage, seed: u64) -> Result<(), String> {
     stage.controller.rest =
         RestConfig { stop: Stop::Creeping, speed_noise: SPEED_NOISE, position_noise: POSITION_NOISE };
     stage.controller.loads_for_s = LOADS_FOR_S;
-    let second = if rng.random_bool(0.5) { SecondClient::Refused } else { SecondClient::Evicts };
+    let seconds = [SecondClient::Refused, SecondClient::Evicts, SecondClient::Waits];
+    let second = seconds[rng.random_range(0..seconds.len())];
     stage.world.gripper.clients = BoxConfig { second, half_open_s: rng.random_range(0.0..20.0) };
     stage.world.gripper.overshoot = OVERSHOOT;
     stage.weather = Weather::WORST;

@@ -8,6 +8,10 @@ use celld::pair::work::job;
 use celld::pair::{Choice, Loss, Pair};
 use ur_sim::compute_box::{BoxConfig, SecondClient};
 use ur_sim::faults::read::read_posted;
+use ur_sim::world::lock;
+
+/// What a box may do with a second client.
+const SECONDS: [SecondClient; 3] = [SecondClient::Refused, SecondClient::Evicts, SecondClient::Waits];
 
 const PULLED: &str = r#"{"do": "net.timeout", "args": {"link": "gripper"}}"#;
 const PLUGGED: &str = r#"{"do": "clear"}"#;
@@ -48,7 +52,7 @@ fn answers_within(pair: &mut Pair, seconds: f64) -> f64 {
 #[test]
 fn a_pulled_plug_while_carrying_is_named_within_half_a_second() {
     for seed in 1..=12 {
-        for second in [SecondClient::Refused, SecondClient::Evicts] {
+        for second in SECONDS {
             let mut pair = carrying(seed, BoxConfig { second, half_open_s: 0.0 });
             pair.run_until(0.05 * seed as f64, |_| false);
             fault(&mut pair, PULLED);
@@ -80,17 +84,19 @@ fn a_pulled_plug_while_carrying_is_named_within_half_a_second() {
 /// back. What hangs on the cups hangs there meanwhile.
 #[test]
 fn a_half_open_place_is_named_and_taken_once_it_is_free() {
-    for seed in 1..=6 {
-        let mut pair = carrying(seed, BoxConfig { half_open_s: 30.0, ..BoxConfig::default() });
+    let named = [
+        (SecondClient::Refused, "another client holds"),
+        (SecondClient::Waits, "takes the connection and answers nothing"),
+    ];
+    for (seed, (second, words)) in (1..=6).zip(named.into_iter().cycle()) {
+        let mut pair = carrying(seed, BoxConfig { second, half_open_s: 30.0 });
         fault(&mut pair, PULLED);
         pair.run_until(0.5, |_| false);
         pair.restart(Loss::Killed).expect("a template");
         let free_at = pair.seconds() + 30.0;
         fault(&mut pair, PLUGGED);
         let taken = |pair: &Pair| {
-            pair.status().is_some_and(|status| {
-                status.devices.iter().any(|note| note.message.contains("another client holds"))
-            })
+            pair.status().is_some_and(|status| status.devices.iter().any(|note| note.message.contains(words)))
         };
         assert!(pair.run_until(25.0, taken), "seed {seed}: {:?}", pair.status());
         while pair.seconds() < free_at {
@@ -102,6 +108,30 @@ fn a_half_open_place_is_named_and_taken_once_it_is_free() {
         let seconds = answers_within(&mut pair, 10.0);
         assert!(seconds <= 2.0, "seed {seed}: {seconds:.3} s");
         assert_eq!(gripper_says(&pair), "answers, and holds something", "seed {seed}");
+        assert_eq!(pair.breaches(), [], "seed {seed}");
+    }
+}
+
+/// The cable goes as the object is to be let go: the command has not reached the box, and must not later.
+#[test]
+fn a_release_that_a_pulled_cable_kept_back_is_never_carried_out_late() {
+    for (seed, second) in (1..=6).zip(SECONDS.into_iter().cycle()) {
+        let mut pair = carrying(seed, BoxConfig { second, half_open_s: 8.0 });
+        let held = |pair: &Pair| lock(&pair.simulator().core().world).held().next().map(str::to_string);
+        let object = held(&pair).expect("it carries");
+        let lets_go = |pair: &Pair| {
+            held(pair).is_some() && pair.status().is_some_and(|status| status.text().starts_with("releasing"))
+        };
+        assert!(pair.run_until(30.0, lets_go), "seed {seed}");
+        fault(&mut pair, PULLED);
+        let stopped = |pair: &Pair| pair.status().is_some_and(|status| status.stopped.is_some());
+        assert!(pair.run_until(10.0, stopped), "seed {seed}: {:?}", pair.status());
+        let hangs = held(&pair);
+        pair.run_until(3.0, |_| false);
+        fault(&mut pair, PLUGGED);
+        assert!(answers_within(&mut pair, 20.0) <= 10.0, "seed {seed}, {second:?}");
+        pair.run_until(5.0, |_| false);
+        assert_eq!(held(&pair), hangs, "seed {seed}, {second:?}: {object}");
         assert_eq!(pair.breaches(), [], "seed {seed}");
     }
 }

@@ -6,7 +6,7 @@
 //! first what is in the inlet, then the answers, and reports that they are on their way
 //! ([`Session::answered`]).
 
-use crate::compute_box;
+use crate::compute_box::{self, Service};
 use crate::core::Core;
 use crate::faults::link::LinkName;
 use crate::gripper_server;
@@ -126,12 +126,17 @@ enum Kind {
     ToolSerial(tool_serial_server::Session),
 }
 
+/// Most bytes of a client that waits.
+const UNREAD_MAX: usize = 64 * 1024;
+
 /// A client of the gripper's box.
 struct BoxClient {
     /// `None` if another gripper is mounted: its port serves several clients.
     number: Option<u64>,
     /// How often the cable was pulled before the last bytes of the client.
     silences: u64,
+    /// Sent before its turn.
+    unread: Vec<u8>,
 }
 
 impl BoxClient {
@@ -141,11 +146,13 @@ impl BoxClient {
             (world.now_s(), world.has_compute_box())
         };
         let number = has_box.then(|| compute_box::lock(&core.compute_box).enter(now_s, line));
-        BoxClient { number, silences: silences(core) }
+        BoxClient { number, silences: silences(core), unread: Vec::new() }
     }
 
-    fn is_served(&self, core: &Core) -> bool {
-        self.number.is_none_or(|number| compute_box::lock(&core.compute_box).serves(number))
+    fn service(&self, core: &Core) -> Service {
+        let Some(number) = self.number else { return Service::Served };
+        let now_s = lock(&core.world).now_s();
+        compute_box::lock(&core.compute_box).serves(now_s, number)
     }
 
     fn heard(&mut self, core: &Core) {
@@ -230,12 +237,19 @@ impl Session {
             Kind::Modbus(session) => {
                 session.receive(robot, bytes).map(|answers| Outcome::one(answers, false))
             }
-            Kind::Gripper(_, client) if !client.is_served(core) => return Outcome::NONSENSE,
             Kind::Gripper(session, client) => {
-                client.heard(core);
+                let service = client.service(core);
+                client.unread.extend_from_slice(bytes);
+                match service {
+                    Service::Ended => return Outcome::NONSENSE,
+                    Service::Waits if client.unread.len() > UNREAD_MAX => return Outcome::NONSENSE,
+                    Service::Waits => return Outcome::default(),
+                    Service::Served => client.heard(core),
+                }
                 let faults = robot.links.get(self.port.link()).state();
+                let received = std::mem::take(&mut client.unread);
                 session
-                    .receive(&mut lock(&core.world), &faults, bytes)
+                    .receive(&mut lock(&core.world), &faults, &received)
                     .map(|answers| Outcome::one(answers, false))
             }
             Kind::ToolSerial(session) => {
@@ -270,7 +284,7 @@ impl Session {
             Kind::Rtde(session) => session.id(),
             Kind::Script(session) => session.id(),
             Kind::Dashboard(_) | Kind::Interpreter(_) | Kind::Modbus(_) => return true,
-            Kind::Gripper(_, client) => return client.is_served(core),
+            Kind::Gripper(_, client) => return client.service(core) != Service::Ended,
             Kind::Robotiq(_) | Kind::ToolSerial(_) => return true,
         };
         core.robot.publisher().is_open(id)

@@ -31,7 +31,7 @@ const ANSWER_MAX: u64 = 64 * 1024;
 pub fn facts(config: &CellConfig, state: &StateFolder) -> GripperFacts {
     let devices = &config.devices;
     let address = gripper_address(devices);
-    let Registers { vacuum, control, identity } = registers(devices);
+    let Registers { vacuum, control, identity } = read_registers(devices);
     let confirmed = match config.simulation {
         Some(_) => ConfirmedGripper::NotNeeded,
         None => state.confirmed_gripper(&address),
@@ -44,26 +44,42 @@ pub fn facts(config: &CellConfig, state: &StateFolder) -> GripperFacts {
 struct Registers {
     vacuum: Result<[f64; 2], ModbusFailure>,
     control: Option<[u16; 2]>,
-    identity: Identity,
+    identity: Result<Identity, ModbusFailure>,
 }
 
-fn registers(devices: &Devices) -> Registers {
-    let unread = |failure| Registers { vacuum: Err(failure), control: None, identity: Identity::default() };
+fn read_registers(devices: &Devices) -> Registers {
+    let unread = |failure: ModbusFailure| Registers {
+        vacuum: Err(failure.clone()),
+        control: None,
+        identity: Err(failure),
+    };
     let mut line = match Line::open(devices) {
         Ok(line) => line,
         Err(failure) => return unread(failure),
     };
-    let mut read = |address, count| line.exchange(&ModbusRequest::Read { address, count });
-    let vacuum = read(VACUUM, 2).and_then(|words| vacuum_of(&words));
+    let vacuum = line.read(VACUUM, 2).and_then(|words| vacuum_of(&words));
     // After a failure without an answer the next read would wait as long again.
-    if !matches!(vacuum, Ok(_) | Err(ModbusFailure::Exception(_))) {
-        return Registers { vacuum, control: None, identity: Identity::default() };
+    if let Err(failure) = vacuum.clone()
+        && !matches!(failure, ModbusFailure::Exception(_))
+    {
+        return unread(failure);
     }
-    let control = read(CONTROL, 2).ok().and_then(|words| words.try_into().ok());
-    let product = read(PRODUCT, 1).ok().and_then(|words| words.first().copied());
-    let firmware = read(FIRMWARE, 2).ok().and_then(|words| words.try_into().ok());
-    let serial = read(SERIAL, SERIAL_COUNT).ok().and_then(|words| words.try_into().ok());
-    Registers { vacuum, control, identity: Identity { product, firmware, serial } }
+    let control = line.read(CONTROL, 2).ok().and_then(|words| words.try_into().ok());
+    Registers { vacuum, control, identity: identity(&mut line) }
+}
+
+/// What the device gives out of itself. A register that it does not have is no failure; one that could not
+/// be read is: who knows the gripper by its serial number does not know it without.
+fn identity(line: &mut Line) -> Result<Identity, ModbusFailure> {
+    let mut given_out = |address, count| match line.read(address, count) {
+        Ok(words) => Ok(words),
+        Err(ModbusFailure::Exception(_)) => Ok(Vec::new()),
+        Err(failure) => Err(failure),
+    };
+    let product = given_out(PRODUCT, 1)?.first().copied();
+    let firmware = given_out(FIRMWARE, 2)?.try_into().ok();
+    let serial = given_out(SERIAL, SERIAL_COUNT)?.try_into().ok();
+    Ok(Identity { product, firmware, serial })
 }
 
 /// A connection that waits for each answer.
@@ -79,11 +95,17 @@ impl Line {
     fn open(devices: &Devices) -> Result<Line, ModbusFailure> {
         let address =
             resolve(&devices.gripper_host, devices.gripper_port).map_err(ModbusFailure::Connection)?;
-        let stream =
-            TcpStream::connect_timeout(&address, ANSWER_WITHIN).map_err(|error| failure(&error, false))?;
+        let stream = TcpStream::connect_timeout(&address, ANSWER_WITHIN).map_err(|error| {
+            // Without a connection nothing was to be answered.
+            failure(&error, error.kind() == ErrorKind::TimedOut)
+        })?;
         stream.set_read_timeout(Some(ANSWER_WITHIN)).map_err(|error| failure(&error, false))?;
         let unit = devices.gripper_unit;
         Ok(Line { stream, unit, transaction: 0, answers: Answers::default(), answered: false })
+    }
+
+    fn read(&mut self, address: u16, count: u16) -> Result<Vec<u16>, ModbusFailure> {
+        self.exchange(&ModbusRequest::Read { address, count })
     }
 
     fn exchange(&mut self, request: &ModbusRequest) -> Result<Vec<u16>, ModbusFailure> {
@@ -112,6 +134,7 @@ impl Line {
 /// An error of a connection on which something was `answered`, or nothing yet.
 fn failure(error: &Error, answered: bool) -> ModbusFailure {
     match error.kind() {
+        ErrorKind::WouldBlock | ErrorKind::TimedOut if !answered => ModbusFailure::Unserved,
         ErrorKind::WouldBlock | ErrorKind::TimedOut => ModbusFailure::Timeout,
         ErrorKind::ConnectionRefused => ModbusFailure::Refused,
         ErrorKind::ConnectionReset | ErrorKind::BrokenPipe if !answered => ModbusFailure::Taken,
@@ -145,6 +168,8 @@ fn connected(text: &str) -> Option<bool> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::net::TcpListener;
+    use ur_wire::modbus::Splitter;
 
     #[test]
     fn an_answer_of_the_service_is_a_boolean_or_nothing() {
@@ -153,5 +178,37 @@ mod tests {
         assert_eq!(connected(&answer("<boolean>0</boolean>")), Some(false));
         assert_eq!(connected(&answer("<int>4</int>")), None);
         assert_eq!(connected(""), None);
+    }
+
+    /// A line to a device that answers so many requests with zeros, and then ends the connection.
+    fn line_to_a_device(answers: usize) -> Line {
+        let device = TcpListener::bind("127.0.0.1:0").expect("a port");
+        let address = device.local_addr().expect("its address");
+        std::thread::spawn(move || {
+            let (mut stream, _) = device.accept().expect("a client");
+            let mut splitter = Splitter::default();
+            let mut buffer = [0; 512];
+            for _ in 0..answers {
+                let request = loop {
+                    if let Some(request) = splitter.next_adu().expect("Modbus") {
+                        break request;
+                    }
+                    let count = stream.read(&mut buffer).expect("a request");
+                    splitter.push(&buffer[..count]);
+                };
+                let registers = usize::from(request.pdu[4]);
+                let data = [vec![2 * registers as u8], vec![0; 2 * registers]].concat();
+                stream.write_all(&request.answer(Ok(data))).expect("a reader");
+            }
+        });
+        let stream = TcpStream::connect(address).expect("the device");
+        Line { stream, unit: 65, transaction: 0, answers: Answers::default(), answered: false }
+    }
+
+    #[test]
+    fn a_serial_number_that_cannot_be_read_is_no_gripper_without_one() {
+        assert!(identity(&mut line_to_a_device(2)).is_err());
+        let all = identity(&mut line_to_a_device(3)).expect("all parts are answered");
+        assert_eq!((all.product, all.serial_text()), (Some(0), None));
     }
 }

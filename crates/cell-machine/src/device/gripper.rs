@@ -284,7 +284,8 @@ impl Gripper {
         {
             // It stays under way: an answer that comes late must not be taken for that of another request.
             outstanding.deadline = now + within;
-            self.failed(ModbusFailure::Timeout);
+            // What the connection said of itself last says more than that nothing has come yet.
+            self.count_failure(ModbusFailure::Timeout);
         }
         let vacuum = self.reading.map_or([0.0; 2], |(_, vacuum)| vacuum);
         match self.hold {
@@ -387,7 +388,7 @@ impl Gripper {
     }
 
     fn answered(&mut self) {
-        self.failures = 0;
+        (self.failures, self.fault) = (0, GripperFault::Silent);
         self.unreachable_reported = false;
         if !self.answering {
             self.answering = true;
@@ -399,8 +400,12 @@ impl Gripper {
     }
 
     fn failed(&mut self, cause: ModbusFailure) {
-        self.failures = self.failures.saturating_add(1);
         self.fault = GripperFault::from(&cause);
+        self.count_failure(cause);
+    }
+
+    fn count_failure(&mut self, cause: ModbusFailure) {
+        self.failures = self.failures.saturating_add(1);
         if self.failures >= MAX_FAILURES && !self.unreachable_reported {
             self.unreachable_reported = true;
             self.answering = false;

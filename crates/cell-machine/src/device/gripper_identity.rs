@@ -97,7 +97,7 @@ impl Identification {
             }
             // These say nothing about the register.
             Err(ModbusFailure::Exception(_) | ModbusFailure::Connection(_)) => return,
-            Err(ModbusFailure::Taken | ModbusFailure::Refused) => return,
+            Err(ModbusFailure::Taken | ModbusFailure::Refused | ModbusFailure::Unserved) => return,
         }
         (self.part, self.tries) = (part.next(), 0);
     }

@@ -67,6 +67,9 @@ pub enum GripperFault {
     /// See [`ModbusFailure::Refused`].
     #[error("the gripper refuses the connection")]
     Refused,
+    /// See [`ModbusFailure::Unserved`].
+    #[error("the gripper's box takes the connection and answers nothing")]
+    Unserved,
     /// It answers, and has no registers 258 and 259.
     #[error("the gripper has no registers for the vacuum (258, 259)")]
     NoVacuum,
@@ -80,6 +83,7 @@ impl From<&ModbusFailure> for GripperFault {
         match failure {
             ModbusFailure::Taken => GripperFault::Taken,
             ModbusFailure::Refused => GripperFault::Refused,
+            ModbusFailure::Unserved => GripperFault::Unserved,
             ModbusFailure::Exception(NO_SUCH_REGISTER) => GripperFault::NoVacuum,
             ModbusFailure::Timeout
             | ModbusFailure::Exception(_)
@@ -243,6 +247,9 @@ pub enum ModbusFailure {
     /// Nobody accepts connections at the address.
     #[error("the gripper's box refuses the connection: another client may have the only one it serves")]
     Refused,
+    /// A connection was made, and nothing has come on it: another client may be served before ours.
+    #[error("the connection is made, and nothing is answered on it")]
+    Unserved,
     /// An answer that is none.
     #[error("malformed answer: {0}")]
     Malformed(String),

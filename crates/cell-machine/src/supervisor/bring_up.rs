@@ -66,6 +66,7 @@ impl Supervisor {
             GateClosed::Gripper(_)
             | GateClosed::GripperUnknown
             | GateClosed::GripperUnconfirmed
+            | GateClosed::GripperByAddress
             | GateClosed::GripperOther => {
                 format!("{closed} ({})", self.model.addresses.gripper)
             }
@@ -214,6 +215,7 @@ fn opens_by_bring_up(closed: &GateClosed) -> bool {
         | GateClosed::Gripper(_)
         | GateClosed::GripperUnknown
         | GateClosed::GripperUnconfirmed
+        | GateClosed::GripperByAddress
         | GateClosed::GripperOther
         | GateClosed::Holding
         | GateClosed::MayHang(_)

@@ -66,12 +66,17 @@ impl GateClosed {
                 "the Compute Box may still be starting, or serve another client (a second celld, a PLC, the \
                  gripper's URCap): end that one; `devices.gripper` in the configuration has the port"
             }
+            GateClosed::Gripper(GripperFault::Unserved) => {
+                "the Compute Box may serve another client first (a second celld, a PLC, the gripper's URCap): \
+                 end that one; or `devices.gripper` in the configuration has the wrong unit; the last resort \
+                 is to restart the box: without power the gripper drops what hangs there"
+            }
             GateClosed::Gripper(GripperFault::NoVacuum) => {
                 "see on the Compute Box's own web page which gripper and which firmware it has: older \
                  firmware has the vacuum in other registers, update it"
             }
             GateClosed::GripperUnknown => "wait a few seconds, then try again",
-            GateClosed::GripperUnconfirmed | GateClosed::GripperOther => {
+            GateClosed::GripperUnconfirmed | GateClosed::GripperByAddress | GateClosed::GripperOther => {
                 "see that it is the gripper on this arm, then `celld confirm-gripper`, once for each gripper"
             }
             GateClosed::Holding => "`celld recover` says what hangs there and what can be done with it",
@@ -129,6 +134,9 @@ pub enum GateClosed {
     /// No person has said yet that what answers at the gripper's address is the gripper.
     #[error("what answers at the gripper's address was never confirmed to be the gripper")]
     GripperUnconfirmed,
+    /// A person has confirmed a gripper that gave out no serial number, by an older celld perhaps.
+    #[error("the gripper was confirmed by its address alone, and has a serial number")]
+    GripperByAddress,
     /// A person has confirmed a gripper with another serial number.
     #[error("this is another gripper than the one that was confirmed")]
     GripperOther,
@@ -269,9 +277,8 @@ pub fn confirmed(confirmed: &ConfirmedGripper, identity: Option<&Identity>) -> R
         (ConfirmedGripper::NotNeeded, _) => Ok(()),
         (confirmed, Some(answers)) if *confirmed == answers => Ok(()),
         (_, None) => Err(GateClosed::GripperUnknown),
-        (ConfirmedGripper::None | ConfirmedGripper::AtAddress, Some(_)) => {
-            Err(GateClosed::GripperUnconfirmed)
-        }
+        (ConfirmedGripper::None, Some(_)) => Err(GateClosed::GripperUnconfirmed),
+        (ConfirmedGripper::AtAddress, Some(_)) => Err(GateClosed::GripperByAddress),
         (ConfirmedGripper::Serial(_), Some(_)) => Err(GateClosed::GripperOther),
     }
 }

@@ -46,7 +46,9 @@ impl Code {
 pub(crate) fn with_fault(stopped: String, fault: GripperFault) -> String {
     match fault {
         GripperFault::Silent => stopped,
-        GripperFault::Taken | GripperFault::Refused | GripperFault::NoVacuum => format!("{stopped}: {fault}"),
+        GripperFault::Taken | GripperFault::Refused | GripperFault::Unserved | GripperFault::NoVacuum => {
+            format!("{stopped}: {fault}")
+        }
     }
 }
 

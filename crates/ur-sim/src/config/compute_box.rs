@@ -8,7 +8,7 @@ use rearrange::document::decode::{At, Decoder};
 
 /// As the file names them.
 const SECONDS: &[(&str, SecondClient)] =
-    &[("refused", SecondClient::Refused), ("evicts", SecondClient::Evicts)];
+    &[("refused", SecondClient::Refused), ("evicts", SecondClient::Evicts), ("waits", SecondClient::Waits)];
 
 /// Longest time that a place is kept, s.
 const LONGEST_S: f64 = 86_400.0;
@@ -47,7 +47,9 @@ mod tests {
 
     #[test]
     fn unknown_words_and_negative_times_are_reported() {
-        assert!(read("compute_box: {second_client: waits}").unwrap_err().contains("\"waits\" is not known"));
+        assert!(
+            read("compute_box: {second_client: queues}").unwrap_err().contains("\"queues\" is not known")
+        );
         assert!(read("compute_box: {half_open_s: -1}").unwrap_err().contains("half_open_s"));
     }
 }

@@ -17,12 +17,14 @@
 //!   box receives the reset.
 //! - A command that was sent on a silent connection is sent on the next one too. It may arrive twice within
 //!   its second, and does the same each time.
+//! - A command is sent only on a connection on which the box has answered: before that a reading goes out.
+//!   A box that lets a second client wait would carry the command out when its turn comes.
 //! - A connection that is given up is reset, never closed in order: what it has not delivered must not
 //!   reach the gripper after what the next one says.
 //! - A box that closes our connection twice within 10 s gives the place to another client. We wait 1 s
 //!   before we take it again, so that two clients do not evict each other unseen.
 
-use crate::device::gripper_types::{ModbusFailure, ModbusRequest};
+use crate::device::gripper_types::{ModbusFailure, ModbusRequest, VACUUM};
 use crate::device::modbus::{Answer, Answers, request_bytes};
 use crate::device::outbox::earlier;
 use cell_values::time::{Duration, Timestamp};
@@ -32,6 +34,8 @@ use std::collections::VecDeque;
 const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 /// After this much silence with a request under way a second connection is tried.
 const SILENT_AFTER: Duration = Duration::from_secs(1);
+/// A box that serves us answers the first request within this.
+const UNSERVED_AFTER: Duration = Duration::from_millis(500);
 /// An attempt to connect takes at most so long.
 const CONNECT_WITHIN: Duration = Duration::from_secs(1);
 /// Between two attempts.
@@ -40,6 +44,9 @@ const CONNECT_AGAIN: Duration = Duration::from_millis(250);
 const EVICTED_WITHIN: Duration = Duration::from_secs(10);
 /// Wait after that.
 const EVICTED_WAIT: Duration = Duration::from_secs(1);
+
+/// Asked before the first command on a connection.
+const FIRST: ModbusRequest = ModbusRequest::Read { address: VACUUM, count: 2 };
 
 /// What the sockets have to do. Connections have numbers that are not used again.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -67,6 +74,8 @@ pub enum Ending {
 struct UnderWay {
     request: ModbusRequest,
     deadline: Timestamp,
+    /// A command that waits for the connection's first answer.
+    unsent: bool,
 }
 
 /// A connection that was made.
@@ -77,6 +86,8 @@ struct Connection {
     answered: bool,
     /// Since when nothing has come although a request was sent.
     silent_since: Option<Timestamp>,
+    /// A second connection was tried, and nothing came of it: the network is to blame for the silence.
+    out_of_reach: bool,
 }
 
 /// See the module.
@@ -120,7 +131,8 @@ impl Master {
     pub fn request(&mut self, now: Timestamp, request: ModbusRequest) {
         self.expire(now);
         self.transaction = self.transaction.wrapping_add(1);
-        self.request = Some(UnderWay { request: request.clone(), deadline: now + ANSWER_WITHIN });
+        let deadline = now + ANSWER_WITHIN;
+        self.request = Some(UnderWay { request: request.clone(), deadline, unsent: false });
         if self.connection.is_some() {
             self.send(now);
         } else if self.attempt.is_none() && now < self.not_before {
@@ -139,8 +151,13 @@ impl Master {
             return;
         }
         self.give_up();
-        self.connection =
-            Some(Connection { number, answers: Answers::default(), answered: false, silent_since: None });
+        self.connection = Some(Connection {
+            number,
+            answers: Answers::default(),
+            answered: false,
+            silent_since: None,
+            out_of_reach: false,
+        });
         self.send(now);
     }
 
@@ -180,6 +197,9 @@ impl Master {
             self.actions.push_back(Action::Reset(attempt));
         }
         while let Some(answer) = self.next_answer() {
+            if answer.is_ok() {
+                self.is_served(now);
+            }
             let outcome = answer.and_then(|answer| match self.transaction.wrapping_sub(answer.transaction) {
                 0 => Ok(self.request.take().map(|under_way| answer.words(&under_way.request))),
                 1..0x8000 => Ok(None),
@@ -202,8 +222,9 @@ impl Master {
             if let Some((attempt, _)) = self.attempt.take() {
                 self.actions.push_back(Action::Reset(attempt));
             }
-            if self.connection.is_none() {
-                self.cause = ModbusFailure::Timeout;
+            match &mut self.connection {
+                Some(connection) => connection.out_of_reach = true,
+                None => self.cause = ModbusFailure::Timeout,
             }
         }
         if self.request.as_ref().is_some_and(|under_way| now >= under_way.deadline) {
@@ -216,9 +237,17 @@ impl Master {
 
     /// The request under way has failed, if there is one.
     fn expire(&mut self, now: Timestamp) {
+        let unserved = |connection: &Connection| {
+            let long = connection.silent_since.is_some_and(|since| now >= since + UNSERVED_AFTER);
+            long && !connection.answered && !connection.out_of_reach
+        };
+        let failure = match &self.connection {
+            Some(connection) if unserved(connection) => ModbusFailure::Unserved,
+            Some(_) | None => ModbusFailure::Timeout,
+        };
         match self.request.as_ref().map(|under_way| &under_way.request) {
-            Some(ModbusRequest::Read { .. }) => self.fail(ModbusFailure::Timeout),
-            Some(ModbusRequest::Write { .. }) => self.drop_connection(now, ModbusFailure::Timeout),
+            Some(ModbusRequest::Read { .. }) => self.fail(failure),
+            Some(ModbusRequest::Write { .. }) => self.drop_connection(now, failure),
             None => {}
         }
     }
@@ -259,10 +288,25 @@ impl Master {
     }
 
     fn send(&mut self, now: Timestamp) {
-        let (Some(connection), Some(under_way)) = (&mut self.connection, &self.request) else { return };
+        let (Some(connection), Some(under_way)) = (&mut self.connection, &mut self.request) else { return };
         connection.silent_since.get_or_insert(now);
-        let bytes = request_bytes(self.transaction, self.unit, &under_way.request);
+        under_way.unsent = !connection.answered && matches!(under_way.request, ModbusRequest::Write { .. });
+        let request = if under_way.unsent { &FIRST } else { &under_way.request };
+        let bytes = request_bytes(self.transaction, self.unit, request);
         self.actions.push_back(Action::Send(connection.number, bytes));
+        if under_way.unsent {
+            // Its answer is that of an earlier request.
+            self.transaction = self.transaction.wrapping_add(1);
+        }
+    }
+
+    /// The box answers on this connection: it takes commands now.
+    fn is_served(&mut self, now: Timestamp) {
+        let Some(connection) = &mut self.connection else { return };
+        connection.answered = true;
+        if self.request.as_ref().is_some_and(|under_way| under_way.unsent) {
+            self.send(now);
+        }
     }
 
     fn next_answer(&mut self) -> Option<Result<Answer, ModbusFailure>> {
@@ -271,7 +315,6 @@ impl Master {
 
     fn take_result(&mut self, result: Result<Vec<u16>, ModbusFailure>) {
         if let Some(connection) = &mut self.connection {
-            connection.answered = true;
             connection.silent_since = None;
         }
         self.results.push_back(result);

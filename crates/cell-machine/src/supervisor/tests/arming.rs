@@ -35,6 +35,9 @@ const MISSING: &[Missing] = &[
         (bench.gripper_answers, bench.gripper_fault) = (false, GripperFault::Taken);
     }),
     ("another gripper", |bench| bench.cell.model.confirmed = ConfirmedGripper::Serial("other".into())),
+    ("takes the connection and answers nothing", |bench| {
+        (bench.gripper_answers, bench.gripper_fault) = (false, GripperFault::Unserved);
+    }),
     ("never confirmed", |bench| bench.cell.model.confirmed = ConfirmedGripper::None),
     ("hang on the gripper", |bench| bench.vacuum = [0.0, 0.4]),
     ("hang on the gripper", |bench| bench.vacuum = [f64::NAN, 0.0]),
@@ -273,7 +276,7 @@ fn a_gripper_is_confirmed_once_wherever_it_is_and_another_one_again() {
     bench.identity = with_serial(b'1');
     let order = |bench: &mut Bench, wanted: Order| answer(&bench.feed(order(wanted))).expect("an answer");
     let reply = order(&mut bench, Order::Arm);
-    assert!(reply.message.contains("never confirmed"), "known by its address so far: {reply:?}");
+    assert!(reply.message.contains("by its address alone"), "{reply:?}");
     let reply = order(&mut bench, Order::ConfirmGripper);
     assert_eq!(reply.confirmed, Some(ConfirmedGripper::Serial("s1".into())));
     assert!(reply.message.contains("serial number s1"), "{reply:?}");

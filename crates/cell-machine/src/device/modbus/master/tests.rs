@@ -122,6 +122,62 @@ fn a_command_waits_for_the_next_attempt() {
     rig.sent_on(number);
 }
 
+/// A box that serves another client first would carry the command out when its turn comes.
+#[test]
+fn a_command_is_sent_once_the_box_has_answered_on_the_connection() {
+    let release = ModbusRequest::Write { address: 0, values: vec![0] };
+    let mut rig = Rig::new();
+    rig.master.request(rig.now(), release.clone());
+    rig.poll();
+    let number = rig.connects();
+    rig.connected(number);
+    let reading = rig.sent_on(number);
+    assert_eq!(rig.actions, [Action::Send(number, request_bytes(reading, 65, &READING))]);
+    rig.answer(number, reading, 1);
+    let command = rig.sent_on(number);
+    assert_eq!(rig.actions[1..], [Action::Send(number, request_bytes(command, 65, &release))]);
+    assert_eq!(rig.results, [], "it is the command that is waited for");
+    let [high, low] = command.to_be_bytes();
+    rig.master.received(rig.now(), number, &[high, low, 0, 0, 0, 6, 65, 16, 0, 0, 0, 1]);
+    rig.poll();
+    assert_eq!(rig.results, [Ok(vec![])]);
+
+    let mut rig = Rig::new();
+    rig.master.request(rig.now(), release);
+    rig.poll();
+    let number = rig.connects();
+    rig.connected(number);
+    rig.run_ms(1000);
+    assert_eq!(rig.results, [Err(ModbusFailure::Unserved)]);
+    assert!(rig.actions.contains(&Action::Reset(number)), "{:?}", rig.actions);
+    let sent = rig.actions.iter().filter(|action| matches!(action, Action::Send(..)));
+    assert_eq!(sent.count(), 1, "the reading alone");
+}
+
+#[test]
+fn a_box_that_takes_the_connection_and_answers_nothing_is_named() {
+    let mut rig = Rig::new();
+    rig.request();
+    let mut number = rig.connects();
+    for _ in 0..3 {
+        rig.connected(number);
+        rig.run_ms(999);
+        assert_eq!(rig.results, []);
+        rig.run_ms(1);
+        assert_eq!(std::mem::take(&mut rig.results), [Err(ModbusFailure::Unserved)]);
+        rig.actions.retain(|action| matches!(action, Action::Connect(_)));
+        number = rig.connects();
+        rig.request();
+        rig.actions.clear();
+    }
+    // A cable that is pulled then is not the box's silence.
+    rig.run_ms(1000);
+    rig.results.clear();
+    rig.request();
+    rig.run_ms(1000);
+    assert_eq!(rig.results, [Err(ModbusFailure::Timeout)]);
+}
+
 /// A release that is delivered when the cable is back would drop what the arm carries then.
 #[test]
 fn a_write_without_an_answer_is_not_delivered_later() {
