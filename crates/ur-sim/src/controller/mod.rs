@@ -86,6 +86,7 @@ use crate::controller::programs::Programs;
 use crate::controller::sockets::NoNetwork;
 use crate::motion::MotionFault;
 use crate::motion::mover::{HARD_RAMP_SECONDS, SOFT_RAMP_SECONDS};
+use crate::motion::safety::Room;
 
 /// The program that PolyScope X comes with.
 const DEFAULT_PROGRAM: &str = "Default program.urpx";
@@ -165,12 +166,15 @@ impl Controller {
 
     /// Stops an arm that gets deeper to where its safety system does not let it be; the way back is free.
     fn hold_to_safety(&mut self) {
-        let Core { mover, config, .. } = &self.core;
-        if mover.stands() {
+        let Core { mover, config, room, .. } = &self.core;
+        let (q, tcp) = (mover.q(), mover.arm.flange_from_tcp.translation.vector);
+        if mover.stands() || room.is_some_and(|room| room.covers(&q, &tcp)) {
             return;
         }
-        let tcp = mover.tcp().translation.vector;
-        let found = config.safety.intrusion(config.arm.name, &mover.placed().bodies, &tcp);
+        let at = mover.tcp().translation.vector;
+        let found = config.safety.room(config.arm.name, &mover.placed().bodies, &at);
+        self.core.room = found.as_ref().ok().map(|room_m| Room { q, tcp, room_m: *room_m });
+        let found = found.err();
         let depth = found.as_ref().map_or(0.0, |found| found.depth);
         let deeper = depth > std::mem::replace(&mut self.core.intrusion_m, depth);
         if let Some(found) = found.filter(|_| deeper) {

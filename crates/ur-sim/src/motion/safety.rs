@@ -7,6 +7,7 @@
 //! tool centre point where the configuration gives it a radius; what it holds is no body here. Planes hold
 //! the tool centre point, with that radius about it, and the elbow. Pure.
 
+use cell_values::units::Joints;
 use nalgebra::{Isometry3, Point3, Vector3};
 use ur_arm::bodies::{BODY_NAMES, Capsule, HARMLESS_PAIRS, capsules};
 
@@ -60,11 +61,16 @@ impl SafetyLimits {
     /// How far a ball about `point` (base frame, m) is beyond a plane, and which one; `None` if it is within
     /// all.
     pub fn beyond(&self, point: &Vector3<f64>, radius: f64) -> Option<(usize, f64)> {
+        self.farthest_beyond(point, radius).filter(|(_, depth)| *depth > 0.0)
+    }
+
+    /// The plane that the ball is farthest beyond, or has the least room to; `None` if there are no planes.
+    fn farthest_beyond(&self, point: &Vector3<f64>, radius: f64) -> Option<(usize, f64)> {
         let beyond = self.planes.iter().enumerate().map(|(number, plane)| {
             let inwards = Vector3::from(plane.normal).normalize();
             (number, radius - inwards.dot(&(point - Vector3::from(plane.point))))
         });
-        beyond.filter(|(_, depth)| *depth > 0.0).max_by(|a, b| a.1.total_cmp(&b.1))
+        beyond.max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     /// The share of the limits of momentum and power that a motion takes: `momentum` (kg m/s) is that of arm
@@ -74,21 +80,74 @@ impl SafetyLimits {
         momentum.max(self.power.map_or(0.0, |most| power() / most))
     }
 
-    /// The deepest intrusion of an arm whose bodies and tool centre point are there, in the base frame.
-    pub fn intrusion(
+    /// How far an arm is from where it must not be, m, whose bodies and tool centre point are there, in the
+    /// base frame: at least so far.
+    ///
+    /// # Errors
+    /// The deepest intrusion.
+    pub fn room(
         &self,
         model: &str,
         bodies: &[Isometry3<f64>; 6],
         tcp: &Vector3<f64>,
-    ) -> Option<Intrusion> {
+    ) -> Result<f64, Intrusion> {
         let about = self.tool_radius.unwrap_or(0.0);
         let points = [("tool", *tcp, about), ("elbow", bodies[1].translation.vector, 0.0)];
         let planes = points.iter().filter_map(|(name, point, about)| {
-            let (number, depth) = self.beyond(point, *about)?;
-            Some(Intrusion { depth, reason: format!("{name} beyond safety plane {number}"), joint: None })
+            let (number, depth) = self.farthest_beyond(point, *about)?;
+            Some((depth, Where::Plane(name, number)))
         });
         let tool = self.tool_radius.and_then(|radius| tool_against_arm(model, bodies, tcp, radius));
-        planes.chain(with_itself(model, bodies)).chain(tool).max_by(|a, b| a.depth.total_cmp(&b.depth))
+        let all = planes.chain(with_itself(model, bodies)).chain(tool);
+        match all.max_by(|a, b| a.0.total_cmp(&b.0)) {
+            Some((depth, place)) if depth > 0.0 => Err(place.intrusion(depth)),
+            Some((depth, _)) => Ok(-depth),
+            None => Ok(f64::INFINITY),
+        }
+    }
+}
+
+/// What an arm is in, or nearest to.
+enum Where {
+    /// A point of the arm by its name, and the number of the plane.
+    Plane(&'static str, usize),
+    /// A link, and the one farther out.
+    Links(usize, usize),
+    /// The tool and a link.
+    Tool(usize),
+}
+
+impl Where {
+    fn intrusion(self, depth: f64) -> Intrusion {
+        let (reason, joint) = match self {
+            Where::Plane(name, number) => (format!("{name} beyond safety plane {number}"), None),
+            Where::Links(a, b) => (format!("{} against {}", BODY_NAMES[b], BODY_NAMES[a]), Some(b - 1)),
+            // The argument of the message counts joints: the last one moves the tool.
+            Where::Tool(body) => (format!("tool against {}", BODY_NAMES[body]), Some(5)),
+        };
+        Intrusion { depth, reason, joint }
+    }
+}
+
+/// No point of arm and tool is farther from a joint's axis than this and the tool's length, m.
+const REACH_M: f64 = 2.5;
+
+/// Where the arm had room, and how much: it need not be looked for again before it could be used up.
+#[derive(Clone, Copy, Debug)]
+pub struct Room {
+    /// Joint positions, rad.
+    pub q: Joints,
+    /// The tool centre point in the flange frame, m.
+    pub tcp: Vector3<f64>,
+    /// At least so much, m.
+    pub room_m: f64,
+}
+
+impl Room {
+    /// The arm cannot be where it must not be with its joints there, nor with such a tool centre point.
+    pub fn covers(&self, q: &Joints, tcp: &Vector3<f64>) -> bool {
+        let turned: f64 = q.0.iter().zip(&self.q.0).map(|(now, then)| (now - then).abs()).sum();
+        turned * (REACH_M + tcp.norm()) + (tcp - self.tcp).norm() < self.room_m
     }
 }
 
@@ -102,7 +161,7 @@ fn tool_against_arm(
     frames: &[Isometry3<f64>; 6],
     tcp: &Vector3<f64>,
     radius: f64,
-) -> Option<Intrusion> {
+) -> Option<(f64, Where)> {
     let bodies = capsules(model)?;
     let ends = [Point3::from(frames[5].translation.vector), Point3::from(*tcp)];
     let depths = MET_BY_TOOL.map(|body| {
@@ -111,27 +170,24 @@ fn tool_against_arm(
             let link = [capsule.a, capsule.b].map(|end| place * Point3::from(end));
             radius + capsule.radius - distance(&ends, &link)
         });
-        (overlaps.fold(f64::NEG_INFINITY, f64::max) - TOLERANCE_M, body)
+        (overlaps.fold(f64::NEG_INFINITY, f64::max) - TOLERANCE_M, Where::Tool(body))
     });
-    let (depth, body) = depths.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(depth, _)| *depth > 0.0)?;
-    // The argument of the message counts joints: the last one moves the tool.
-    Some(Intrusion { depth, reason: format!("tool against {}", BODY_NAMES[body]), joint: Some(5) })
+    depths.max_by(|a, b| a.0.total_cmp(&b.0))
 }
 
 /// The deepest overlap of two links beyond the tolerance.
-fn with_itself(model: &str, frames: &[Isometry3<f64>; 6]) -> Option<Intrusion> {
+fn with_itself(model: &str, frames: &[Isometry3<f64>; 6]) -> Option<(f64, Where)> {
     let bodies = capsules(model)?;
     let place = |body: usize| body.checked_sub(1).map_or(Isometry3::identity(), |link| frames[link]);
     let balls: [Ball; 7] = std::array::from_fn(|body| Ball::round(bodies[body], &place(body)));
     let pairs = (0..7).flat_map(|a| (a + 1..7).map(move |b| (a, b)));
-    let near = pairs.filter(|(a, b)| !HARMLESS_PAIRS.contains(&(*a, *b)) && balls[*a].meets(&balls[*b]));
-    let overlaps = near.map(|(a, b)| {
-        let depth = deepest((bodies[a], &place(a)), (bodies[b], &place(b))) - TOLERANCE_M;
-        (depth, a, b)
+    let overlaps = pairs.filter(|pair| !HARMLESS_PAIRS.contains(pair)).map(|(a, b)| {
+        let apart = balls[a].distance(&balls[b]);
+        let overlap =
+            if apart > 0.0 { -apart } else { deepest((bodies[a], &place(a)), (bodies[b], &place(b))) };
+        (overlap - TOLERANCE_M, Where::Links(a, b))
     });
-    let (depth, a, b) = overlaps.max_by(|x, y| x.0.total_cmp(&y.0)).filter(|(depth, ..)| *depth > 0.0)?;
-    let reason = format!("{} against {}", BODY_NAMES[b], BODY_NAMES[a]);
-    Some(Intrusion { depth, reason, joint: Some(b - 1) })
+    overlaps.max_by(|x, y| x.0.total_cmp(&y.0))
 }
 
 /// A ball round some capsules: bodies whose balls are apart are apart.
@@ -152,8 +208,8 @@ impl Ball {
         Ball { middle: place * Point3::from(middle), radius }
     }
 
-    fn meets(&self, other: &Ball) -> bool {
-        (self.middle - other.middle).norm() < self.radius + other.radius
+    fn distance(&self, other: &Ball) -> f64 {
+        (self.middle - other.middle).norm() - self.radius - other.radius
     }
 }
 
@@ -190,7 +246,6 @@ fn distance([a, b]: &[Point3<f64>; 2], [c, d]: &[Point3<f64>; 2]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cell_values::units::Joints;
     use proptest::prelude::*;
     use ur_arm::chain::{Chain, Placed};
     use ur_arm::kinematics::DhParameters;
@@ -201,7 +256,7 @@ mod tests {
 
     fn intrusion(q: [f64; 6]) -> Option<Intrusion> {
         let at = placed(q);
-        SafetyLimits::default().intrusion("UR5e", &at.bodies, &at.frames[5].translation.vector)
+        SafetyLimits::default().room("UR5e", &at.bodies, &at.frames[5].translation.vector).err()
     }
 
     #[test]
@@ -218,8 +273,8 @@ mod tests {
         let folded = intrusion([0.0, -half, 3.0, 0.0, 0.0, 0.0]).unwrap();
         assert!(folded.depth > 0.01 && folded.joint.is_some(), "{folded:?}");
         let bodies = placed([0.0, -half, 3.0, 0.0, 0.0, 0.0]).bodies;
-        let unknown = SafetyLimits::default().intrusion("UR99", &bodies, &Vector3::zeros());
-        assert_eq!(unknown, None, "its capsules are not published");
+        let unknown = SafetyLimits::default().room("UR99", &bodies, &Vector3::zeros());
+        assert_eq!(unknown, Ok(f64::INFINITY), "its capsules are not published");
     }
 
     #[test]
@@ -231,8 +286,8 @@ mod tests {
         assert!(number == 0 && (depth - 0.06).abs() < 1e-12);
         assert_eq!(limits.beyond(&Vector3::new(0.3, 0.0, 0.14), 0.05).map(|(number, _)| number), Some(0));
         let bodies = placed([0.0, 0.4, 0.0, 0.0, 0.0, 0.0]).bodies;
-        let found = limits.intrusion("UR5e", &bodies, &Vector3::z());
-        assert!(found.unwrap().reason.starts_with("elbow beyond safety plane 0"));
+        let found = limits.room("UR5e", &bodies, &Vector3::z());
+        assert!(found.unwrap_err().reason.starts_with("elbow beyond safety plane 0"));
     }
 
     #[test]
@@ -242,7 +297,7 @@ mod tests {
         let tcp = (at.frames[2] * Point3::new(0.15, 0.0, 0.0066)).coords;
         let with = |tool_radius| {
             let limits = SafetyLimits { tool_radius, ..SafetyLimits::default() };
-            limits.intrusion("UR5e", &at.bodies, &tcp)
+            limits.room("UR5e", &at.bodies, &tcp).err()
         };
         assert_eq!(with(None), None);
         let found = with(Some(0.05)).unwrap();
@@ -260,6 +315,29 @@ mod tests {
     }
 
     proptest! {
+        /// What is skipped while there is room is no intrusion.
+        #[test]
+        fn where_there_is_room_the_arm_is_free(
+            q in proptest::array::uniform6(-3.0..3.0f64),
+            turned in proptest::array::uniform6(-0.05..0.05f64),
+            tcp in proptest::array::uniform3(-0.2..0.2f64),
+        ) {
+            let plane = SafetyPlane { point: [0.0, 0.4, 0.0], normal: [0.0, -1.0, 0.2] };
+            let limits =
+                SafetyLimits { planes: vec![plane], tool_radius: Some(0.04), ..SafetyLimits::default() };
+            let room = |q: [f64; 6]| {
+                let at = placed(q);
+                limits.room("UR5e", &at.bodies, &(at.frames[5] * Point3::from(tcp)).coords)
+            };
+            let next: [f64; 6] = std::array::from_fn(|joint| q[joint] + turned[joint]);
+            let tcp = Vector3::from(tcp);
+            if let Ok(room_m) = room(q) {
+                let here = Room { q: Joints(q), tcp, room_m };
+                prop_assert!(!here.covers(&Joints(next), &tcp) || room(next).is_ok());
+                prop_assert!(room_m == 0.0 || here.covers(&Joints(q), &tcp));
+            }
+        }
+
         #[test]
         fn segments_are_no_farther_apart_than_their_nearest_samples(
             numbers in proptest::array::uniform12(-1.0..1.0f64),
