@@ -70,8 +70,8 @@ impl GripperFacts {
             Err(cause) => lines.push(problem(
                 "identity",
                 format!("product, firmware or serial number could not be read: {cause}"),
-                "run `celld doctor` again; where it stays so, celld knows this gripper by its address alone \
-                 and needs `celld confirm-gripper` for it",
+                "run `celld doctor` again; if that does not help, `celld run` will ask for \
+                 `celld confirm-gripper`",
             )),
         }
         lines.extend(self.other_master());

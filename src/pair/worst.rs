@@ -10,7 +10,7 @@ use crate::pair::network::Weather;
 use crate::pair::stage::Stage;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use ur_sim::compute_box::{BoxConfig, SecondClient};
+use ur_sim::box_clients::{BoxConfig, SecondClient};
 use ur_sim::faults::read::read_posted;
 use ur_sim::motion::rest::{RestConfig, Stop};
 use ur_sim::motion::rounding::{BlendConfig, ENTRY_SPEEDS};

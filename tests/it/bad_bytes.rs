@@ -13,8 +13,8 @@ use std::path::Path;
 use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
+use ur_sim::box_clients::SecondClient;
 use ur_sim::cell::{RunningSim, start};
-use ur_sim::compute_box::SecondClient;
 
 #[allow(dead_code, reason = "the fuzzers' binaries use more of it")]
 #[path = "../../fuzz/targets.rs"]

@@ -25,7 +25,7 @@ use rearrange::document::chain::chain;
 use rearrange::geometry::pose::Pose2;
 use std::collections::BTreeSet;
 use ur_arm::links::{farthest_apart, model_of};
-use ur_sim::compute_box::SecondClient;
+use ur_sim::box_clients::SecondClient;
 use ur_sim::faults::read::read_posted;
 use ur_sim::motion::rest::{RestConfig, Stop};
 use ur_sim::motion::rounding::{BlendConfig, EntrySpeed};

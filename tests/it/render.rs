@@ -13,7 +13,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rearrange::geometry::footprint::Footprint;
 use rearrange::geometry::pose::Pose2;
-use ur_sim::compute_box::BoxConfig;
+use ur_sim::box_clients::BoxConfig;
 use ur_sim::render::Renderer;
 use ur_sim::render::lens::CameraTruth;
 use ur_sim::render::scene::look_at;

@@ -114,6 +114,7 @@ fn simulators(text: &str) -> Vec<String> {
             "\n  kind: ejector\n  vacuum_on: 0\n  part_present: 17\n  vacuum_min: 0.3\n",
         ),
         fingers.replacen(cups, "  cups: null\n", 1),
+        with("second_client: refused, half_open_s: 0", "second_client: waits, half_open_s: 20"),
         with("\ncontroller: {}", "\ncontroller: {software: polyscope_x, version: 10.12, encoders: [100, 0]}"),
     ]
 }

@@ -136,7 +136,7 @@ impl Views {
         let mut sweep = Sweep::new(&model.arm.bodies, &room);
         let picture = views.picture.clone();
         let shows_references = |aim: &Aim| picture.shows_references(&aim.table_from_camera().inverse());
-        // Whether a place shows enough markers costs least to find out, whether the arm is free there most.
+        // The cheapest check first: markers, then joints, then collisions.
         let aims = straight_down(table, heights).filter(shows_references);
         let computed = aims.filter_map(|aim| looking_along(model, &aim));
         let taught = model.look_poses.iter().copied();

@@ -172,7 +172,7 @@ impl Kinematics {
             }
         }
         solutions.retain(|q| self.posture(q) == wanted);
-        // A pose that is reached in other families alone is not near the edge of reach.
+        // If all starts clearly belong to other families, this one has no solution.
         if solutions.is_empty() && (starts.is_empty() || others < starts.len()) {
             solutions = self.inverse(base_from_flange);
             solutions.retain(|q| self.posture(q) == wanted);

@@ -15,7 +15,7 @@ pub mod rest;
 pub mod safety;
 pub mod software;
 
-use crate::compute_box::BoxConfig;
+use crate::box_clients::BoxConfig;
 use crate::config::conveyors::ConveyorConfig;
 use crate::controller::modes::Control;
 use crate::controller::program_files::ProgramFiles;

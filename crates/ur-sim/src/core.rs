@@ -4,9 +4,11 @@
 //! a client's request waits for no more than it concerns. Nothing here opens a socket or starts a thread:
 //! time is the number of calls.
 
-use crate::compute_box::{ComputeBox, SharedBox};
+use crate::compute_box::{self, ComputeBox, Over, SharedBox};
 use crate::controller::Controller;
 use crate::faults::injector::FaultInjector;
+use crate::faults::link::LinkName;
+use crate::gripper_server;
 use crate::motion::FRAME_SECONDS;
 use crate::robot_server::shared::RobotShared;
 use crate::world::event::Contact;
@@ -14,6 +16,7 @@ use crate::world::{SharedWorld, World, lock};
 use std::fmt;
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
+use ur_wire::bytes::WireError;
 
 /// Depth of a contact at which the arm's safety system stops it, m: cups and flange give way by some mm
 /// first.
@@ -57,7 +60,39 @@ impl Core {
     pub fn advance(&self, due: Option<Instant>) {
         self.robot.frame(due);
         self.step_world();
+        self.serve_who_waited();
         self.injector.frame();
+    }
+
+    /// Requests to the gripper, however they came.
+    ///
+    /// # Errors
+    /// The bytes are no Modbus TCP.
+    pub fn gripper_receives(
+        &self,
+        session: &mut gripper_server::Session,
+        bytes: &[u8],
+    ) -> Result<Vec<u8>, WireError> {
+        let faults = self.robot.links.get(LinkName::Gripper).state();
+        session.receive(&mut lock(&self.world), &faults, bytes)
+    }
+
+    /// Bytes of a client of the gripper's box; the answers.
+    ///
+    /// # Errors
+    /// Its connection is over.
+    pub fn box_receives(&self, number: u64, bytes: &[u8]) -> Result<Vec<u8>, Over> {
+        let now_s = lock(&self.world).now_s();
+        let carry_out =
+            |session: &mut gripper_server::Session, bytes: &[u8]| self.gripper_receives(session, bytes);
+        compute_box::lock(&self.compute_box).receive(now_s, number, bytes, carry_out)
+    }
+
+    fn serve_who_waited(&self) {
+        let now_s = lock(&self.world).now_s();
+        let carry_out =
+            |session: &mut gripper_server::Session, bytes: &[u8]| self.gripper_receives(session, bytes);
+        compute_box::lock(&self.compute_box).frame(now_s, carry_out);
     }
 
     /// The world follows the arm, which feels what it touches; where it presses too hard, its safety system

@@ -36,7 +36,7 @@ const SERIAL: &[u8; 32] = b"sim-vgc10\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\
 const HIGHEST_CURRENT_MA: u16 = 1000;
 
 /// One master's connection, without its socket.
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct Session {
     splitter: Splitter,
 }

@@ -1,5 +1,6 @@
 //! The replacement for the hardware: world, UR controller, VGC10 and camera behind the real protocols.
 
+pub mod box_clients;
 pub mod camera;
 
 pub mod camera_server;

@@ -6,7 +6,7 @@
 //! first what is in the inlet, then the answers, and reports that they are on their way
 //! ([`Session::answered`]).
 
-use crate::compute_box::{self, Service};
+use crate::compute_box::{self, Over, Service};
 use crate::core::Core;
 use crate::faults::link::LinkName;
 use crate::gripper_server;
@@ -126,17 +126,12 @@ enum Kind {
     ToolSerial(tool_serial_server::Session),
 }
 
-/// Most bytes of a client that waits.
-const UNREAD_MAX: usize = 64 * 1024;
-
 /// A client of the gripper's box.
 struct BoxClient {
     /// `None` if another gripper is mounted: its port serves several clients.
     number: Option<u64>,
     /// How often the cable was pulled before the last bytes of the client.
     silences: u64,
-    /// Sent before its turn.
-    unread: Vec<u8>,
 }
 
 impl BoxClient {
@@ -146,7 +141,7 @@ impl BoxClient {
             (world.now_s(), world.has_compute_box())
         };
         let number = has_box.then(|| compute_box::lock(&core.compute_box).enter(now_s, line));
-        BoxClient { number, silences: silences(core), unread: Vec::new() }
+        BoxClient { number, silences: silences(core) }
     }
 
     fn service(&self, core: &Core) -> Service {
@@ -238,19 +233,12 @@ impl Session {
                 session.receive(robot, bytes).map(|answers| Outcome::one(answers, false))
             }
             Kind::Gripper(session, client) => {
-                let service = client.service(core);
-                client.unread.extend_from_slice(bytes);
-                match service {
-                    Service::Ended => return Outcome::NONSENSE,
-                    Service::Waits if client.unread.len() > UNREAD_MAX => return Outcome::NONSENSE,
-                    Service::Waits => return Outcome::default(),
-                    Service::Served => client.heard(core),
-                }
-                let faults = robot.links.get(self.port.link()).state();
-                let received = std::mem::take(&mut client.unread);
-                session
-                    .receive(&mut lock(&core.world), &faults, &received)
-                    .map(|answers| Outcome::one(answers, false))
+                client.heard(core);
+                let answers = match client.number {
+                    Some(number) => core.box_receives(number, bytes),
+                    None => core.gripper_receives(session, bytes).map_err(|_| Over),
+                };
+                return answers.map_or(Outcome::NONSENSE, |answers| Outcome::one(answers, false));
             }
             Kind::ToolSerial(session) => {
                 let faults = robot.links.get(self.port.link()).state();

@@ -251,7 +251,7 @@ pub fn cut_text(text: &str, max: usize) -> &str {
 
 /// Bytes that arrived but do not make a whole package yet. Taking from the front is cheap: the consumed
 /// part is dropped only once it is the larger half.
-#[derive(Default, Deserialize, Serialize)]
+#[derive(Debug, Default, Deserialize, Serialize)]
 pub struct Pending {
     bytes: Vec<u8>,
     start: usize,

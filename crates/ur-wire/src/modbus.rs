@@ -126,7 +126,7 @@ pub enum Function {
 }
 
 /// Splits a byte stream into requests. Holds at most one unfinished request besides what was pushed.
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct Splitter(Pending);
 
 impl Splitter {

@@ -8,6 +8,7 @@ use crate::daemon::sockets::resolve;
 use crate::doctor::gripper::GripperFacts;
 use crate::jobs::state::StateFolder;
 use cell_machine::device::gripper::vacuum_of;
+use cell_machine::device::gripper_identity::MISSING;
 use cell_machine::device::gripper_types::{
     CONTROL, FIRMWARE, Identity, ModbusFailure, ModbusRequest, PRODUCT, SERIAL, SERIAL_COUNT, VACUUM,
 };
@@ -68,12 +69,12 @@ fn read_registers(devices: &Devices) -> Registers {
     Registers { vacuum, control, identity: identity(&mut line) }
 }
 
-/// What the device gives out of itself. A register that it does not have is no failure; one that could not
-/// be read is: who knows the gripper by its serial number does not know it without.
+/// Product, firmware and serial number. The device may lack these registers. A failed read is an error:
+/// without its serial number a gripper cannot be compared with the confirmed one.
 fn identity(line: &mut Line) -> Result<Identity, ModbusFailure> {
     let mut given_out = |address, count| match line.read(address, count) {
         Ok(words) => Ok(words),
-        Err(ModbusFailure::Exception(_)) => Ok(Vec::new()),
+        Err(ModbusFailure::Exception(code)) if MISSING.contains(&code) => Ok(Vec::new()),
         Err(failure) => Err(failure),
     };
     let product = given_out(PRODUCT, 1)?.first().copied();
@@ -96,8 +97,11 @@ impl Line {
         let address =
             resolve(&devices.gripper_host, devices.gripper_port).map_err(ModbusFailure::Connection)?;
         let stream = TcpStream::connect_timeout(&address, ANSWER_WITHIN).map_err(|error| {
-            // Without a connection nothing was to be answered.
-            failure(&error, error.kind() == ErrorKind::TimedOut)
+            match error.kind() {
+                // No connection was made.
+                ErrorKind::TimedOut => ModbusFailure::Timeout,
+                _ => failure(&error, false),
+            }
         })?;
         stream.set_read_timeout(Some(ANSWER_WITHIN)).map_err(|error| failure(&error, false))?;
         let unit = devices.gripper_unit;
@@ -206,9 +210,19 @@ mod tests {
     }
 
     #[test]
-    fn a_serial_number_that_cannot_be_read_is_no_gripper_without_one() {
+    fn an_unread_serial_number_is_reported_as_a_failure() {
         assert!(identity(&mut line_to_a_device(2)).is_err());
         let all = identity(&mut line_to_a_device(3)).expect("all parts are answered");
         assert_eq!((all.product, all.serial_text()), (Some(0), None));
+    }
+
+    #[test]
+    fn a_box_that_takes_the_connection_and_answers_nothing_is_named() {
+        let silent = TcpListener::bind("127.0.0.1:0").expect("a port");
+        let stream = TcpStream::connect(silent.local_addr().expect("its address")).expect("a place in line");
+        stream.set_read_timeout(Some(Duration::from_millis(50))).expect("a socket");
+        let mut line =
+            Line { stream, unit: 65, transaction: 0, answers: Answers::default(), answered: false };
+        assert_eq!(line.read(VACUUM, 2), Err(ModbusFailure::Unserved));
     }
 }

@@ -118,8 +118,8 @@ impl DashboardSession {
         true
     }
 
-    /// Takes a command back that waits to be sent; false where it is on its way already, or unknown. Its line
-    /// may be written and not polled yet: an order to stop can come in the same turn.
+    /// Takes a command back that waits to be sent; false where it is on its way already, or unknown. Its
+    /// line may be written and not polled yet: an order to stop can come in the same turn.
     pub fn forget(&mut self, command: &Command) -> bool {
         let waiting = self.waiting.len();
         self.waiting.retain(|waits| waits != command);

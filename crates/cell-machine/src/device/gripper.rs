@@ -284,7 +284,7 @@ impl Gripper {
         {
             // It stays under way: an answer that comes late must not be taken for that of another request.
             outstanding.deadline = now + within;
-            // What the connection said of itself last says more than that nothing has come yet.
+            // Keep the last known cause: a timeout alone is less specific.
             self.count_failure(ModbusFailure::Timeout);
         }
         let vacuum = self.reading.map_or([0.0; 2], |(_, vacuum)| vacuum);

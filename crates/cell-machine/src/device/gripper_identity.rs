@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 const TRIES: u32 = 2;
 
 /// Modbus exceptions of a register that is not there: illegal function, address or value.
-const MISSING: [u8; 3] = [1, 2, 3];
+pub const MISSING: [u8; 3] = [1, 2, 3];
 
 /// A part of the identity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]

@@ -68,7 +68,7 @@ pub enum GripperFault {
     #[error("the gripper refuses the connection")]
     Refused,
     /// See [`ModbusFailure::Unserved`].
-    #[error("the gripper's box takes the connection and answers nothing")]
+    #[error("the gripper's box accepts the connection but does not answer")]
     Unserved,
     /// It answers, and has no registers 258 and 259.
     #[error("the gripper has no registers for the vacuum (258, 259)")]
@@ -248,7 +248,7 @@ pub enum ModbusFailure {
     #[error("the gripper's box refuses the connection: another client may have the only one it serves")]
     Refused,
     /// A connection was made, and nothing has come on it: another client may be served before ours.
-    #[error("the connection is made, and nothing is answered on it")]
+    #[error("the connection was accepted, but no answer came")]
     Unserved,
     /// An answer that is none.
     #[error("malformed answer: {0}")]

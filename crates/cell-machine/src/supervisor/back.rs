@@ -28,6 +28,9 @@ pub(crate) struct Held {
     pub to: Pose2,
     /// The vacuum has gone at its place; it may hang on the cups all the same until a picture shows it.
     pub let_go: bool,
+    /// The grip ended without enough vacuum; the pump may go on, and it may hang there all the same.
+    #[serde(default)]
+    pub unsealed: bool,
 }
 
 /// A stop that was not left yet.
@@ -75,7 +78,7 @@ pub(crate) struct Back {
     pub held: Option<Held>,
     /// That the vacuum fell at the last pick-n-place.
     pub weak: Option<String>,
-    /// What fell, and where the tool was, or what did not seal.
+    /// What fell, and where the tool was.
     pub fell: Option<String>,
     /// Since when the arm is in a protective stop.
     pub protective_since: Option<Timestamp>,

@@ -67,9 +67,8 @@ impl GateClosed {
                  gripper's URCap): end that one; `devices.gripper` in the configuration has the port"
             }
             GateClosed::Gripper(GripperFault::Unserved) => {
-                "the Compute Box may serve another client first (a second celld, a PLC, the gripper's URCap): \
-                 end that one; or `devices.gripper` in the configuration has the wrong unit; the last resort \
-                 is to restart the box: without power the gripper drops what hangs there"
+                "end the other client of the Compute Box (a second celld, a PLC, the gripper's URCap); if there \
+                 is none, check the unit in `devices.gripper` of the configuration"
             }
             GateClosed::Gripper(GripperFault::NoVacuum) => {
                 "see on the Compute Box's own web page which gripper and which firmware it has: older \
@@ -135,7 +134,7 @@ pub enum GateClosed {
     #[error("what answers at the gripper's address was never confirmed to be the gripper")]
     GripperUnconfirmed,
     /// A person has confirmed a gripper that gave out no serial number, by an older celld perhaps.
-    #[error("the gripper was confirmed by its address alone, and has a serial number")]
+    #[error("the gripper was confirmed by its address only, but it reports a serial number")]
     GripperByAddress,
     /// A person has confirmed a gripper with another serial number.
     #[error("this is another gripper than the one that was confirmed")]

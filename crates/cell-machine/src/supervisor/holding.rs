@@ -69,6 +69,9 @@ impl Supervisor {
         out: &mut Vec<Action>,
     ) {
         let works = matches!(self.phase, Phase::Work(_));
+        if let Some(held) = &mut self.back.held {
+            held.unsealed &= !devices.gripper_holds;
+        }
         match event {
             GripperEvent::Gripped { .. } => self.back.fell = None,
             // At its place it may stick to the cups; where a person has it, or where nothing was gripped,
@@ -96,21 +99,16 @@ impl Supervisor {
             GripperEvent::VacuumLost { .. } => {
                 let what =
                     self.back.held.as_ref().map_or("what the gripper held", |held| held.object.as_str());
-                let place = devices.robot.map_or_else(String::new, |robot| {
-                    let at = self.model.arm.tool_at(&robot.q).translation.vector;
-                    let height = (at.z - self.held_height()) * 1e3;
-                    format!(" near x {:.3} m, y {:.3} m, from {height:.0} mm over the table", at.x, at.y)
-                });
-                let fell = format!("{what} fell{place}");
+                let fell = format!("{what} fell{}", self.fell_where(devices));
                 if !works {
                     alarm(out, format!("{fell}: see where it lies, or whether it still hangs on the cups"));
                 }
                 self.back.fell = Some(fell);
             }
-            // The pump stays on after a stop, but nothing is known to hang there.
+            // A gripper that does not answer shows nothing about the grip.
             GripperEvent::GripFailed { .. } => {
-                if let Some(held) = &self.back.held {
-                    self.back.fell = Some(format!("{} did not seal", held.object));
+                if let Some(held) = &mut self.back.held {
+                    held.unsealed = devices.gripper_answers && !devices.gripper_holds;
                 }
             }
             GripperEvent::ReleaseFailed { .. }
@@ -119,6 +117,15 @@ impl Supervisor {
             | GripperEvent::Refused
             | GripperEvent::Reading { .. } => {}
         }
+    }
+
+    /// Where the tool is as something falls, for people.
+    fn fell_where(&self, devices: &DeviceSnapshot) -> String {
+        devices.robot.map_or_else(String::new, |robot| {
+            let at = self.model.arm.tool_at(&robot.q).translation.vector;
+            let height = (at.z - self.held_height()) * 1e3;
+            format!(" near x {:.3} m, y {:.3} m, from {height:.0} mm over the table", at.x, at.y)
+        })
     }
 
     /// After a start: what an earlier celld had gripped hangs there if the vacuum holds it. Less vacuum
@@ -157,6 +164,7 @@ impl Supervisor {
             hold: object.hold,
             to: before.to,
             let_go: false,
+            unsealed: false,
         };
         let what = &held.object;
         let gripped = format!("{what} was gripped when celld last ended");
@@ -264,7 +272,8 @@ impl Supervisor {
     /// The object that hangs on the gripper, as far as is known, and how, unless the tool did not point
     /// straight down when it was gripped.
     pub fn object_on_the_gripper(&self) -> Option<(&str, Option<&Grasp>)> {
-        let held = self.back.held.as_ref().filter(|held| !held.let_go && self.back.fell.is_none())?;
+        let hangs = |held: &&Held| !held.let_go && !held.unsealed && self.back.fell.is_none();
+        let held = self.back.held.as_ref().filter(hangs)?;
         Some((&held.object, held.grasp.as_ref()))
     }
 
@@ -276,6 +285,9 @@ impl Supervisor {
                 "{}, or hangs on the cups",
                 self.back.fell.clone().unwrap_or(held.object.clone())
             )),
+            Some(held) if held.unsealed => {
+                Some(format!("{} may hang on the cups: the grip did not seal", held.object))
+            }
             Some(held) => Some(format!("holds {}", held.object)),
             // The gripper has not answered since the start.
             None => match &self.model.held_before {

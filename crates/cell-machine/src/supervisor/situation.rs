@@ -144,6 +144,7 @@ impl Supervisor {
             return format!("held: not known, the gripper does not answer ({at}); before that: {object}");
         };
         let vacuum = format!("vacuum A {:.0} %, B {:.0} %", a * 100.0, b * 100.0);
+        let unsealed = self.back.held.as_ref().is_some_and(|held| held.unsealed);
         let object = self.back.held.as_ref().map(|held| held.object.as_str());
         match (gates::empty_handed(devices).is_ok(), object) {
             (true, None) => format!("held: nothing ({vacuum})"),
@@ -153,6 +154,9 @@ impl Supervisor {
             }
             (false, Some(object)) => match &self.back.fell {
                 Some(fell) => format!("held: {fell}, or hangs on the cups ({vacuum})"),
+                None if unsealed => {
+                    format!("held: {object} may hang on the cups: the grip did not seal ({vacuum})")
+                }
                 None => format!("held: {object} ({vacuum})"),
             },
             (false, None) => format!("held: something that celld did not pick ({vacuum})"),
@@ -165,8 +169,8 @@ impl Supervisor {
         // Rounded, and never "-0".
         let height = ((tool.z - self.held_height()) * 1e3).round() + 0.0;
         let what = match (&self.back.held, &self.back.fell) {
-            (Some(_), None) => "what hangs on it",
-            (Some(_), Some(_)) => "what may hang on it",
+            (Some(held), None) if !held.unsealed => "what hangs on it",
+            (Some(_), _) => "what may hang on it",
             (None, _) => "the cups",
         };
         Some(format!(

@@ -118,6 +118,7 @@ impl Supervisor {
             hold: object.hold,
             to: next.to,
             let_go: false,
+            unsealed: false,
         }
     }
 

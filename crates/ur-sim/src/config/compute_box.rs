@@ -2,7 +2,7 @@
 //!
 //! In: the section. Out: see [`BoxConfig`].
 
-use crate::compute_box::{BoxConfig, SecondClient};
+use crate::box_clients::{BoxConfig, SecondClient};
 use cell_parts::fields::optional;
 use rearrange::document::decode::{At, Decoder};
 

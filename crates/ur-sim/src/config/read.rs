@@ -3,7 +3,7 @@
 //! In: the text and its name. Out: the checked configuration of the simulated cell, or every complaint at
 //! once. The deviations of the simulated truth have documented defaults: they are chosen, not measured.
 
-use crate::compute_box::BoxConfig;
+use crate::box_clients::BoxConfig;
 use crate::config::blend::entry_speed;
 use crate::config::compute_box::compute_box;
 use crate::config::conveyors::conveyors;

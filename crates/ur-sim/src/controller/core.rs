@@ -18,7 +18,7 @@ use crate::controller::value_requests::ValueRequests;
 use crate::controller::watchdog::Watchdog;
 use crate::motion::mover::{MoveId, Mover};
 use crate::motion::rest::Rest;
-use crate::motion::safety::Room;
+use crate::motion::safety::Clearance;
 use crate::motion::{Arm, FRAME_SECONDS};
 use cell_values::units::Joints;
 use nalgebra::Isometry3;
@@ -109,8 +109,8 @@ pub struct Core {
     pub(super) watchdogs: Vec<Watchdog>,
     /// How deep the arm was last where its safety system does not let it be, m.
     pub(super) intrusion_m: f64,
-    /// Where it was last found to have room.
-    pub(super) room: Option<Room>,
+    /// The clearance found last.
+    pub(super) clearance: Option<Clearance>,
     /// The payload on its way to another.
     pub(super) payload_change: Option<PayloadChange>,
     /// The conveyor that is tracked.
@@ -155,7 +155,7 @@ impl Core {
             orphaned: false,
             watchdogs: Vec::new(),
             intrusion_m: 0.0,
-            room: None,
+            clearance: None,
             payload_change: None,
             conveyor: None,
             stop_requested: None,

@@ -167,7 +167,7 @@ fn safe(core: &Core, q: &Joints) -> bool {
     let (arm, config) = (&core.mover.arm, &core.config);
     let tcp = arm.tcp(q).translation.vector;
     let bodies = arm.kinematics.chain().placed(q).bodies;
-    config.safety.room(config.arm.name, &bodies, &tcp).is_ok()
+    config.safety.clearance(config.arm.name, &bodies, &tcp).is_ok()
 }
 
 fn forward_kin(core: &Core, call: &Call<'_>) -> Result<Value, String> {

@@ -86,7 +86,7 @@ use crate::controller::programs::Programs;
 use crate::controller::sockets::NoNetwork;
 use crate::motion::MotionFault;
 use crate::motion::mover::{HARD_RAMP_SECONDS, SOFT_RAMP_SECONDS};
-use crate::motion::safety::Room;
+use crate::motion::safety::Clearance;
 
 /// The program that PolyScope X comes with.
 const DEFAULT_PROGRAM: &str = "Default program.urpx";
@@ -166,14 +166,14 @@ impl Controller {
 
     /// Stops an arm that gets deeper to where its safety system does not let it be; the way back is free.
     fn hold_to_safety(&mut self) {
-        let Core { mover, config, room, .. } = &self.core;
+        let Core { mover, config, clearance, .. } = &self.core;
         let (q, tcp) = (mover.q(), mover.arm.flange_from_tcp.translation.vector);
-        if mover.stands() || room.is_some_and(|room| room.covers(&q, &tcp)) {
+        if mover.stands() || clearance.is_some_and(|clearance| clearance.covers(&q, &tcp)) {
             return;
         }
         let at = mover.tcp().translation.vector;
-        let found = config.safety.room(config.arm.name, &mover.placed().bodies, &at);
-        self.core.room = found.as_ref().ok().map(|room_m| Room { q, tcp, room_m: *room_m });
+        let found = config.safety.clearance(config.arm.name, &mover.placed().bodies, &at);
+        self.core.clearance = found.as_ref().ok().map(|clear_m| Clearance { q, tcp, clear_m: *clear_m });
         let found = found.err();
         let depth = found.as_ref().map_or(0.0, |found| found.depth);
         let deeper = depth > std::mem::replace(&mut self.core.intrusion_m, depth);

@@ -80,12 +80,12 @@ impl SafetyLimits {
         momentum.max(self.power.map_or(0.0, |most| power() / most))
     }
 
-    /// How far an arm is from where it must not be, m, whose bodies and tool centre point are there, in the
-    /// base frame: at least so far.
+    /// A lower bound of the clearance to planes, links and tool, m, for these bodies and this tool centre
+    /// point in the base frame.
     ///
     /// # Errors
     /// The deepest intrusion.
-    pub fn room(
+    pub fn clearance(
         &self,
         model: &str,
         bodies: &[Isometry3<f64>; 6],
@@ -95,7 +95,7 @@ impl SafetyLimits {
         let points = [("tool", *tcp, about), ("elbow", bodies[1].translation.vector, 0.0)];
         let planes = points.iter().filter_map(|(name, point, about)| {
             let (number, depth) = self.farthest_beyond(point, *about)?;
-            Some((depth, Where::Plane(name, number)))
+            Some((depth, Contact::Plane(name, number)))
         });
         let tool = self.tool_radius.and_then(|radius| tool_against_arm(model, bodies, tcp, radius));
         let all = planes.chain(with_itself(model, bodies)).chain(tool);
@@ -107,8 +107,8 @@ impl SafetyLimits {
     }
 }
 
-/// What an arm is in, or nearest to.
-enum Where {
+/// The pair of things that overlap most, or are nearest to each other.
+enum Contact {
     /// A point of the arm by its name, and the number of the plane.
     Plane(&'static str, usize),
     /// A link, and the one farther out.
@@ -117,13 +117,13 @@ enum Where {
     Tool(usize),
 }
 
-impl Where {
+impl Contact {
     fn intrusion(self, depth: f64) -> Intrusion {
         let (reason, joint) = match self {
-            Where::Plane(name, number) => (format!("{name} beyond safety plane {number}"), None),
-            Where::Links(a, b) => (format!("{} against {}", BODY_NAMES[b], BODY_NAMES[a]), Some(b - 1)),
+            Contact::Plane(name, number) => (format!("{name} beyond safety plane {number}"), None),
+            Contact::Links(a, b) => (format!("{} against {}", BODY_NAMES[b], BODY_NAMES[a]), Some(b - 1)),
             // The argument of the message counts joints: the last one moves the tool.
-            Where::Tool(body) => (format!("tool against {}", BODY_NAMES[body]), Some(5)),
+            Contact::Tool(body) => (format!("tool against {}", BODY_NAMES[body]), Some(5)),
         };
         Intrusion { depth, reason, joint }
     }
@@ -132,22 +132,23 @@ impl Where {
 /// No point of arm and tool is farther from a joint's axis than this and the tool's length, m.
 const REACH_M: f64 = 2.5;
 
-/// Where the arm had room, and how much: it need not be looked for again before it could be used up.
+/// The clearance found at some joint positions. No new check is needed until the joints could have used it
+/// up.
 #[derive(Clone, Copy, Debug)]
-pub struct Room {
+pub struct Clearance {
     /// Joint positions, rad.
     pub q: Joints,
     /// The tool centre point in the flange frame, m.
     pub tcp: Vector3<f64>,
-    /// At least so much, m.
-    pub room_m: f64,
+    /// A lower bound of it, m.
+    pub clear_m: f64,
 }
 
-impl Room {
-    /// The arm cannot be where it must not be with its joints there, nor with such a tool centre point.
+impl Clearance {
+    /// True if the arm is certainly still clear with these joint positions and this tool centre point.
     pub fn covers(&self, q: &Joints, tcp: &Vector3<f64>) -> bool {
         let turned: f64 = q.0.iter().zip(&self.q.0).map(|(now, then)| (now - then).abs()).sum();
-        turned * (REACH_M + tcp.norm()) + (tcp - self.tcp).norm() < self.room_m
+        turned * (REACH_M + tcp.norm()) + (tcp - self.tcp).norm() < self.clear_m
     }
 }
 
@@ -161,7 +162,7 @@ fn tool_against_arm(
     frames: &[Isometry3<f64>; 6],
     tcp: &Vector3<f64>,
     radius: f64,
-) -> Option<(f64, Where)> {
+) -> Option<(f64, Contact)> {
     let bodies = capsules(model)?;
     let ends = [Point3::from(frames[5].translation.vector), Point3::from(*tcp)];
     let depths = MET_BY_TOOL.map(|body| {
@@ -170,13 +171,13 @@ fn tool_against_arm(
             let link = [capsule.a, capsule.b].map(|end| place * Point3::from(end));
             radius + capsule.radius - distance(&ends, &link)
         });
-        (overlaps.fold(f64::NEG_INFINITY, f64::max) - TOLERANCE_M, Where::Tool(body))
+        (overlaps.fold(f64::NEG_INFINITY, f64::max) - TOLERANCE_M, Contact::Tool(body))
     });
     depths.max_by(|a, b| a.0.total_cmp(&b.0))
 }
 
 /// The deepest overlap of two links beyond the tolerance.
-fn with_itself(model: &str, frames: &[Isometry3<f64>; 6]) -> Option<(f64, Where)> {
+fn with_itself(model: &str, frames: &[Isometry3<f64>; 6]) -> Option<(f64, Contact)> {
     let bodies = capsules(model)?;
     let place = |body: usize| body.checked_sub(1).map_or(Isometry3::identity(), |link| frames[link]);
     let balls: [Ball; 7] = std::array::from_fn(|body| Ball::round(bodies[body], &place(body)));
@@ -185,7 +186,7 @@ fn with_itself(model: &str, frames: &[Isometry3<f64>; 6]) -> Option<(f64, Where)
         let apart = balls[a].distance(&balls[b]);
         let overlap =
             if apart > 0.0 { -apart } else { deepest((bodies[a], &place(a)), (bodies[b], &place(b))) };
-        (overlap - TOLERANCE_M, Where::Links(a, b))
+        (overlap - TOLERANCE_M, Contact::Links(a, b))
     });
     overlaps.max_by(|x, y| x.0.total_cmp(&y.0))
 }
@@ -248,7 +249,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
     use ur_arm::chain::{Chain, Placed};
-    use ur_arm::kinematics::DhParameters;
+    use ur_arm::models::{ARM_MODELS, DhParameters};
 
     fn placed(q: [f64; 6]) -> Placed {
         Chain::of(&DhParameters::UR5E).placed(&Joints(q))
@@ -256,7 +257,7 @@ mod tests {
 
     fn intrusion(q: [f64; 6]) -> Option<Intrusion> {
         let at = placed(q);
-        SafetyLimits::default().room("UR5e", &at.bodies, &at.frames[5].translation.vector).err()
+        SafetyLimits::default().clearance("UR5e", &at.bodies, &at.frames[5].translation.vector).err()
     }
 
     #[test]
@@ -273,7 +274,7 @@ mod tests {
         let folded = intrusion([0.0, -half, 3.0, 0.0, 0.0, 0.0]).unwrap();
         assert!(folded.depth > 0.01 && folded.joint.is_some(), "{folded:?}");
         let bodies = placed([0.0, -half, 3.0, 0.0, 0.0, 0.0]).bodies;
-        let unknown = SafetyLimits::default().room("UR99", &bodies, &Vector3::zeros());
+        let unknown = SafetyLimits::default().clearance("UR99", &bodies, &Vector3::zeros());
         assert_eq!(unknown, Ok(f64::INFINITY), "its capsules are not published");
     }
 
@@ -286,7 +287,7 @@ mod tests {
         assert!(number == 0 && (depth - 0.06).abs() < 1e-12);
         assert_eq!(limits.beyond(&Vector3::new(0.3, 0.0, 0.14), 0.05).map(|(number, _)| number), Some(0));
         let bodies = placed([0.0, 0.4, 0.0, 0.0, 0.0, 0.0]).bodies;
-        let found = limits.room("UR5e", &bodies, &Vector3::z());
+        let found = limits.clearance("UR5e", &bodies, &Vector3::z());
         assert!(found.unwrap_err().reason.starts_with("elbow beyond safety plane 0"));
     }
 
@@ -297,7 +298,7 @@ mod tests {
         let tcp = (at.frames[2] * Point3::new(0.15, 0.0, 0.0066)).coords;
         let with = |tool_radius| {
             let limits = SafetyLimits { tool_radius, ..SafetyLimits::default() };
-            limits.room("UR5e", &at.bodies, &tcp).err()
+            limits.clearance("UR5e", &at.bodies, &tcp).err()
         };
         assert_eq!(with(None), None);
         let found = with(Some(0.05)).unwrap();
@@ -315,27 +316,36 @@ mod tests {
     }
 
     proptest! {
-        /// What is skipped while there is room is no intrusion.
+        /// No intrusion is skipped: the joints turn, and the tool changes, as far as the clearance allows.
         #[test]
-        fn where_there_is_room_the_arm_is_free(
+        fn where_a_clearance_holds_the_arm_is_free(
             q in proptest::array::uniform6(-3.0..3.0f64),
-            turned in proptest::array::uniform6(-0.05..0.05f64),
+            turned in proptest::array::uniform6(-1.0..1.0f64),
             tcp in proptest::array::uniform3(-0.2..0.2f64),
+            changed in proptest::array::uniform3(-1.0..1.0f64),
+            model in 0..5usize,
         ) {
             let plane = SafetyPlane { point: [0.0, 0.4, 0.0], normal: [0.0, -1.0, 0.2] };
             let limits =
                 SafetyLimits { planes: vec![plane], tool_radius: Some(0.04), ..SafetyLimits::default() };
-            let room = |q: [f64; 6]| {
-                let at = placed(q);
-                limits.room("UR5e", &at.bodies, &(at.frames[5] * Point3::from(tcp)).coords)
+            let model = ["UR3e", "UR5e", "UR10e", "UR16e", "UR20"][model];
+            let arm = ARM_MODELS.iter().find(|arm| arm.name == model).expect("a model");
+            let dh = arm.dh;
+            let clearance = |q: &Joints, tcp: &Vector3<f64>| {
+                let at = Chain::of(&dh).placed(q);
+                limits.clearance(model, &at.bodies, &(at.frames[5] * Point3::from(*tcp)).coords)
             };
-            let next: [f64; 6] = std::array::from_fn(|joint| q[joint] + turned[joint]);
-            let tcp = Vector3::from(tcp);
-            if let Ok(room_m) = room(q) {
-                let here = Room { q: Joints(q), tcp, room_m };
-                prop_assert!(!here.covers(&Joints(next), &tcp) || room(next).is_ok());
-                prop_assert!(room_m == 0.0 || here.covers(&Joints(q), &tcp));
-            }
+            let (q, tcp) = (Joints(q), Vector3::from(tcp));
+            let Ok(clear_m) = clearance(&q, &tcp) else { return Ok(()) };
+            let here = Clearance { q, tcp, clear_m };
+            // 49 % by the joints, 49 % by the tool.
+            let sum: f64 = turned.iter().map(|turn| turn.abs()).sum();
+            let changed = Vector3::from(changed).normalize() * (0.49 * clear_m.min(1.0));
+            let reach = REACH_M + (tcp + changed).norm();
+            let turn = 0.49 * clear_m.min(1.0) / reach / sum;
+            let next = Joints(std::array::from_fn(|joint| q.0[joint] + turned[joint] * turn));
+            prop_assert!(here.covers(&next, &(tcp + changed)) || clear_m < 1e-9);
+            prop_assert!(clearance(&next, &(tcp + changed)).is_ok());
         }
 
         #[test]

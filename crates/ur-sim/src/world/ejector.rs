@@ -4,7 +4,7 @@
 //! through the ejector pulls as the pumps at full power do; without it the cups fill again, and blown off
 //! they fill at once.
 
-use crate::compute_box::BoxConfig;
+use crate::box_clients::BoxConfig;
 use crate::world::World;
 use crate::world::drive::Drive;
 use crate::world::vacuum::{Channel, HIGHEST_TARGET, VacuumMode};

@@ -4,7 +4,7 @@
 //! the deviations that a daemon can only learn by calibrating. Lengths m, angles rad, masses kg; poses of
 //! objects and markers in the table frame, cups in the tool frame.
 
-use crate::compute_box::BoxConfig;
+use crate::box_clients::BoxConfig;
 use crate::render::lens::CameraTruth;
 use crate::world::drive::Drive;
 use crate::world::vacuum::Channel;

@@ -1,7 +1,7 @@
 //! The world driven as the controller would: a tool that moves in 2 ms frames.
 
 use super::*;
-use crate::compute_box::BoxConfig;
+use crate::box_clients::BoxConfig;
 use crate::faults::FaultError;
 use crate::world::drive::Drive;
 use crate::world::grip::YIELD_M;

@@ -41,6 +41,11 @@ impl Rig {
         }
     }
 
+    /// The request that was swallowed fails.
+    fn answer_late(&mut self) {
+        self.gripper.response(self.now, Err(ModbusFailure::Timeout));
+    }
+
     fn run_ms(&mut self, ms: u64) {
         for _ in 0..ms {
             self.now += Duration::from_millis(1);
@@ -484,6 +489,7 @@ fn why_it_does_not_answer_is_known() {
     for (failure, fault) in [
         (ModbusFailure::Taken, GripperFault::Taken),
         (ModbusFailure::Refused, GripperFault::Refused),
+        (ModbusFailure::Unserved, GripperFault::Unserved),
         (ModbusFailure::Exception(2), GripperFault::NoVacuum),
         (ModbusFailure::Exception(4), GripperFault::Silent),
     ] {
@@ -491,9 +497,16 @@ fn why_it_does_not_answer_is_known() {
         rig.failure = Some(failure.clone());
         rig.run_ms(500);
         assert_eq!(rig.gripper.fault(), Some(fault), "{failure:?}");
-        rig.failure = None;
+        rig.mute = true;
+        rig.run_ms(900);
+        assert_eq!(rig.gripper.fault(), Some(fault), "requests that nothing answers are less specific");
+        rig.answer_late();
+        (rig.failure, rig.mute) = (None, false);
         rig.run_ms(200);
         assert_eq!(rig.gripper.fault(), None);
+        rig.mute = true;
+        rig.run_ms(900);
+        assert_eq!(rig.gripper.fault(), Some(GripperFault::Silent), "a cause of before it answered is none");
     }
 }
 

@@ -19,6 +19,8 @@
 //!   its second, and does the same each time.
 //! - A command is sent only on a connection on which the box has answered: before that a reading goes out.
 //!   A box that lets a second client wait would carry the command out when its turn comes.
+//! - A connection on which the box has never answered is kept for 30 s: whoever connects again goes to the
+//!   end of the line.
 //! - A connection that is given up is reset, never closed in order: what it has not delivered must not
 //!   reach the gripper after what the next one says.
 //! - A box that closes our connection twice within 10 s gives the place to another client. We wait 1 s
@@ -36,6 +38,8 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 const SILENT_AFTER: Duration = Duration::from_secs(1);
 /// A box that serves us answers the first request within this.
 const UNSERVED_AFTER: Duration = Duration::from_millis(500);
+/// A connection without any answer is replaced after this.
+const KEPT_UNSERVED: Duration = Duration::from_secs(30);
 /// An attempt to connect takes at most so long.
 const CONNECT_WITHIN: Duration = Duration::from_secs(1);
 /// Between two attempts.
@@ -45,8 +49,8 @@ const EVICTED_WITHIN: Duration = Duration::from_secs(10);
 /// Wait after that.
 const EVICTED_WAIT: Duration = Duration::from_secs(1);
 
-/// Asked before the first command on a connection.
-const FIRST: ModbusRequest = ModbusRequest::Read { address: VACUUM, count: 2 };
+/// Sent before the first command on a connection.
+const PROBE: ModbusRequest = ModbusRequest::Read { address: VACUUM, count: 2 };
 
 /// What the sockets have to do. Connections have numbers that are not used again.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -86,7 +90,7 @@ struct Connection {
     answered: bool,
     /// Since when nothing has come although a request was sent.
     silent_since: Option<Timestamp>,
-    /// A second connection was tried, and nothing came of it: the network is to blame for the silence.
+    /// A second attempt to connect has failed since: the network is down.
     out_of_reach: bool,
 }
 
@@ -150,6 +154,7 @@ impl Master {
         if self.attempt.take_if(|(attempt, _)| *attempt == number).is_none() {
             return;
         }
+        self.expire_if_due(now);
         self.give_up();
         self.connection = Some(Connection {
             number,
@@ -189,6 +194,8 @@ impl Master {
 
     /// Bytes have arrived on a connection.
     pub fn received(&mut self, now: Timestamp, number: u64, bytes: &[u8]) {
+        // A command must not go out after its time because we were held up.
+        self.expire_if_due(now);
         let Some(connection) = self.connection.as_mut().filter(|it| it.number == number) else { return };
         connection.silent_since = self.request.is_some().then_some(now);
         connection.answers.push(bytes);
@@ -197,11 +204,9 @@ impl Master {
             self.actions.push_back(Action::Reset(attempt));
         }
         while let Some(answer) = self.next_answer() {
-            if answer.is_ok() {
-                self.is_served(now);
-            }
+            let unsent = self.request.as_ref().is_some_and(|under_way| under_way.unsent);
             let outcome = answer.and_then(|answer| match self.transaction.wrapping_sub(answer.transaction) {
-                0 => Ok(self.request.take().map(|under_way| answer.words(&under_way.request))),
+                0 if !unsent => Ok(self.request.take().map(|under_way| answer.words(&under_way.request))),
                 1..0x8000 => Ok(None),
                 _ => Err(ModbusFailure::Malformed(format!(
                     "an answer to request {}, and the last one was {}",
@@ -209,8 +214,11 @@ impl Master {
                 ))),
             });
             match outcome {
-                Ok(None) => {}
-                Ok(Some(result)) => self.take_result(result),
+                Ok(None) => self.is_served(now),
+                Ok(Some(result)) => {
+                    self.is_served(now);
+                    self.take_result(result);
+                }
                 Err(failure) => return self.drop_connection(now, failure),
             }
         }
@@ -227,11 +235,15 @@ impl Master {
                 None => self.cause = ModbusFailure::Timeout,
             }
         }
-        if self.request.as_ref().is_some_and(|under_way| now >= under_way.deadline) {
-            self.expire(now);
-        }
+        self.expire_if_due(now);
         if self.attempt_due().is_some_and(|due| now >= due) {
             self.connect(now);
+        }
+    }
+
+    fn expire_if_due(&mut self, now: Timestamp) {
+        if self.request.as_ref().is_some_and(|under_way| now >= under_way.deadline) {
+            self.expire(now);
         }
     }
 
@@ -245,10 +257,11 @@ impl Master {
             Some(connection) if unserved(connection) => ModbusFailure::Unserved,
             Some(_) | None => ModbusFailure::Timeout,
         };
-        match self.request.as_ref().map(|under_way| &under_way.request) {
-            Some(ModbusRequest::Read { .. }) => self.fail(failure),
-            Some(ModbusRequest::Write { .. }) => self.drop_connection(now, failure),
-            None => {}
+        match &self.request {
+            Some(UnderWay { request: ModbusRequest::Write { .. }, unsent: false, .. }) => {
+                self.drop_connection(now, failure);
+            }
+            Some(_) | None => self.fail(failure),
         }
     }
 
@@ -273,7 +286,10 @@ impl Master {
     /// When the next attempt begins: for a command that waits, or because the connection is silent.
     fn attempt_due(&self) -> Option<Timestamp> {
         let wanted = match &self.connection {
-            Some(connection) => connection.silent_since.map(|since| since + SILENT_AFTER),
+            Some(connection) => {
+                let after = if connection.answered { SILENT_AFTER } else { KEPT_UNSERVED };
+                connection.silent_since.map(|since| since + after)
+            }
             None => self.request.as_ref().map(|_| Timestamp::ZERO),
         };
         wanted.filter(|_| self.attempt.is_none()).map(|due| due.max(self.not_before))
@@ -291,11 +307,11 @@ impl Master {
         let (Some(connection), Some(under_way)) = (&mut self.connection, &mut self.request) else { return };
         connection.silent_since.get_or_insert(now);
         under_way.unsent = !connection.answered && matches!(under_way.request, ModbusRequest::Write { .. });
-        let request = if under_way.unsent { &FIRST } else { &under_way.request };
+        let request = if under_way.unsent { &PROBE } else { &under_way.request };
         let bytes = request_bytes(self.transaction, self.unit, request);
         self.actions.push_back(Action::Send(connection.number, bytes));
         if under_way.unsent {
-            // Its answer is that of an earlier request.
+            // The command gets the next number: the probe's answer is not taken for its own.
             self.transaction = self.transaction.wrapping_add(1);
         }
     }
@@ -327,12 +343,16 @@ impl Master {
             Ending::Closed => ModbusFailure::Taken,
             Ending::Other(words) => ModbusFailure::Connection(words),
         };
-        if self.connection.is_none() {
-            self.cause = cause;
-            self.fail(self.cause.clone());
-        } else if cause == ModbusFailure::Refused {
+        match &mut self.connection {
+            None => {
+                self.cause = cause;
+                self.fail(self.cause.clone());
+            }
             // The box is there, and the only place may be held by the connection that is dead.
-            self.drop_connection(now, cause);
+            Some(_) if cause == ModbusFailure::Refused => self.drop_connection(now, cause),
+            Some(connection) => {
+                connection.out_of_reach |= matches!(cause, ModbusFailure::Connection(_));
+            }
         }
     }
 

@@ -86,6 +86,7 @@ impl Robot {
             return Ok(());
         }
         self.request_dashboard(now, command.clone())?;
+        let powered_before = self.powers;
         if goal != ArmGoal::Unlocked {
             self.powers = true;
         }
@@ -97,6 +98,7 @@ impl Robot {
             goal,
             answered: false,
             deadline: now + ARM_WITHIN,
+            powered_before,
         });
         Ok(())
     }

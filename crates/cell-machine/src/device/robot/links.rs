@@ -159,7 +159,7 @@ impl Robot {
     pub(super) fn drop_arm_waits(&mut self, now: Timestamp) {
         for wait in std::mem::take(&mut self.arm_waits) {
             if self.dashboard.forget(&wait.command) {
-                self.powers = false;
+                self.powers = wait.powered_before;
             } else if !wait.answered {
                 self.dropped.push(wait.command);
             }

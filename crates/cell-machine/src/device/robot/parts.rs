@@ -157,6 +157,9 @@ pub struct ArmWait {
     pub answered: bool,
     /// Until when.
     pub deadline: Timestamp,
+    /// Power or brakes had been wanted before it.
+    #[serde(default)]
+    pub powered_before: bool,
 }
 
 /// What was sent for power and brakes comes true by itself unless `power off` follows it.

@@ -35,7 +35,7 @@ const MISSING: &[Missing] = &[
         (bench.gripper_answers, bench.gripper_fault) = (false, GripperFault::Taken);
     }),
     ("another gripper", |bench| bench.cell.model.confirmed = ConfirmedGripper::Serial("other".into())),
-    ("takes the connection and answers nothing", |bench| {
+    ("accepts the connection but does not answer", |bench| {
         (bench.gripper_answers, bench.gripper_fault) = (false, GripperFault::Unserved);
     }),
     ("never confirmed", |bench| bench.cell.model.confirmed = ConfirmedGripper::None),
@@ -199,7 +199,7 @@ fn held() -> Held {
     let load = Load { name: "a".into(), footprint, tool_from_object: Pose2::default(), height: 0.02 };
     let (object, to) = ("a".to_string(), Pose2::new(0.35, 0.3, 0.0));
     let grasp = Some(Grasp::remembered(load, 20.0));
-    Held { object, grasp, height: 0.02, mass: 0.1, hold: 20.0, to, let_go: false }
+    Held { object, grasp, height: 0.02, mass: 0.1, hold: 20.0, to, let_go: false, unsealed: false }
 }
 
 /// A page offers what the status names, and nothing else.
@@ -276,7 +276,7 @@ fn a_gripper_is_confirmed_once_wherever_it_is_and_another_one_again() {
     bench.identity = with_serial(b'1');
     let order = |bench: &mut Bench, wanted: Order| answer(&bench.feed(order(wanted))).expect("an answer");
     let reply = order(&mut bench, Order::Arm);
-    assert!(reply.message.contains("by its address alone"), "{reply:?}");
+    assert!(reply.message.contains("by its address only"), "{reply:?}");
     let reply = order(&mut bench, Order::ConfirmGripper);
     assert_eq!(reply.confirmed, Some(ConfirmedGripper::Serial("s1".into())));
     assert!(reply.message.contains("serial number s1"), "{reply:?}");
@@ -336,7 +336,8 @@ fn only_what_may_hang_on_the_gripper_comes_before_arming() {
         let mut bench = Bench::new();
         bench.job(true);
         let (object, to) = ("b".to_string(), Pose2::default());
-        let held = Held { object, grasp: None, height: 0.02, mass: 0.1, hold: 1.0, to, let_go };
+        let held =
+            Held { object, grasp: None, height: 0.02, mass: 0.1, hold: 1.0, to, let_go, unsealed: false };
         bench.cell.back.held = Some(held);
         bench.ticks(1);
         let status = bench.cell.status();

@@ -202,7 +202,8 @@ fn the_payload_is_that_of_what_counts_as_held_before_the_arm_moves_on() {
 /// The pump goes on after a stop; whether anything hangs on the cups shows by its vacuum alone.
 #[test]
 fn a_grip_that_a_stop_cut_off_is_not_reported_as_held() {
-    for (sealed, held) in [(true, "holds a"), (false, "a did not seal, or hangs on the cups")] {
+    let unsealed = "a may hang on the cups: the grip did not seal";
+    for (sealed, held) in [(true, "holds a"), (false, unsealed)] {
         let mut bench = working();
         bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
         bench.feed(order(Order::Abort));
@@ -214,5 +215,20 @@ fn a_grip_that_a_stop_cut_off_is_not_reported_as_held() {
         }));
         assert_eq!(bench.cell.status().held.as_deref(), Some(held));
         assert!(bench.cell.object_on_the_gripper().is_some() == sealed);
+        // A vacuum that comes late holds it.
+        bench.vacuum = [0.6; 2];
+        bench.feed(Input::Gripper(GripperEvent::Reading { vacuum: [0.6; 2] }));
+        assert_eq!(bench.cell.status().held.as_deref(), Some("holds a"));
     }
+}
+
+/// The plug was pulled while the cups closed: nothing is known of the grip, and the object may hang there.
+#[test]
+fn a_grip_that_ends_without_an_answer_counts_as_held() {
+    let mut bench = working();
+    bench.feed(Input::Robot(RobotEvent::PathFinished { batch: 1 }));
+    bench.feed(order(Order::Abort));
+    bench.gripper_answers = false;
+    bench.feed(Input::Gripper(GripperEvent::GripFailed { vacuum: 0.0 }));
+    assert_eq!(bench.cell.status().held.as_deref(), Some("holds a"));
 }

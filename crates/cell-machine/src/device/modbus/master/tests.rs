@@ -147,31 +147,62 @@ fn a_command_is_sent_once_the_box_has_answered_on_the_connection() {
     rig.poll();
     let number = rig.connects();
     rig.connected(number);
+    let probe = rig.sent_on(number);
     rig.run_ms(1000);
     assert_eq!(rig.results, [Err(ModbusFailure::Unserved)]);
-    assert!(rig.actions.contains(&Action::Reset(number)), "{:?}", rig.actions);
-    let sent = rig.actions.iter().filter(|action| matches!(action, Action::Send(..)));
-    assert_eq!(sent.count(), 1, "the reading alone");
+    rig.answer(number, probe, 1);
+    let sent = |action: &&Action| matches!(action, Action::Send(..) | Action::Reset(_));
+    assert_eq!(rig.actions.iter().filter(sent).count(), 1, "the reading alone: {:?}", rig.actions);
+}
+
+/// celld was held up over the command's time, and finds the answer first.
+#[test]
+fn a_command_that_waits_for_an_answer_is_not_sent_after_its_time() {
+    let mut rig = Rig::new();
+    rig.master.request(rig.now(), ModbusRequest::Write { address: 0, values: vec![0] });
+    rig.poll();
+    let number = rig.connects();
+    rig.connected(number);
+    let probe = rig.sent_on(number);
+    rig.ms += 1001;
+    rig.answer(number, probe, 1);
+    assert_eq!(rig.actions.len(), 1, "{:?}", rig.actions);
+    assert_eq!(rig.results, [Err(ModbusFailure::Unserved)]);
+}
+
+/// The number of the command is not used before it is sent.
+#[test]
+fn an_answer_ahead_of_the_command_sends_nothing() {
+    for ahead in [1, 2] {
+        let mut rig = Rig::new();
+        rig.master.request(rig.now(), ModbusRequest::Write { address: 0, values: vec![0] });
+        rig.poll();
+        let number = rig.connects();
+        rig.connected(number);
+        rig.answer(number, rig.sent_on(number).wrapping_add(ahead), 1);
+        assert!(matches!(rig.results[..], [Err(ModbusFailure::Malformed(_))]), "{:?}", rig.results);
+        assert_eq!(rig.actions[1..], [Action::Reset(number)]);
+    }
 }
 
 #[test]
 fn a_box_that_takes_the_connection_and_answers_nothing_is_named() {
     let mut rig = Rig::new();
     rig.request();
-    let mut number = rig.connects();
-    for _ in 0..3 {
-        rig.connected(number);
-        rig.run_ms(999);
-        assert_eq!(rig.results, []);
-        rig.run_ms(1);
-        assert_eq!(std::mem::take(&mut rig.results), [Err(ModbusFailure::Unserved)]);
-        rig.actions.retain(|action| matches!(action, Action::Connect(_)));
-        number = rig.connects();
+    let first = rig.connects();
+    rig.connected(first);
+    for second in 1..=29 {
+        rig.run_ms(1000);
+        assert_eq!(rig.results, [Err(ModbusFailure::Unserved)], "after {second} s");
+        rig.results.clear();
         rig.request();
-        rig.actions.clear();
     }
-    // A cable that is pulled then is not the box's silence.
+    assert!(rig.actions.iter().all(|action| matches!(action, Action::Send(..))), "it keeps its place");
+    rig.actions.clear();
     rig.run_ms(1000);
+    let second = rig.connects();
+    // A cable that is pulled then is not the box's silence.
+    rig.closed(second, Ending::Other("no route".into()));
     rig.results.clear();
     rig.request();
     rig.run_ms(1000);
