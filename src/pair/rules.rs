@@ -140,6 +140,7 @@ impl Rules {
         self.shell = shell;
         if !shell.runs {
             self.conduct.stands_still();
+            self.arming.stands_still();
         }
     }
 

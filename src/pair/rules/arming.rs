@@ -17,6 +17,9 @@ const FRAMES_PER_S: f64 = 500.0;
 /// which the time does not count.
 const LAPSES_WITHIN_FRAMES: u64 = 15_000;
 
+/// A silent link disarms the cell within this, 3 s, also while the arm rests.
+const SILENCE_FRAMES: u64 = 1500;
+
 /// An order that only stops is decided within this after it was given, 20 ms, and a frame on its way in.
 const DECIDED_FRAMES: u64 = 11;
 
@@ -40,6 +43,8 @@ pub(super) struct Arming {
     off: Option<u64>,
     /// The power has been off while armed.
     seen_off: bool,
+    /// Since when no state of the arm comes although the cell is armed.
+    unseen: Option<u64>,
     /// Orders that only stop, without a decision: when they were given, and which.
     stops: BTreeMap<u64, (u64, Order)>,
 }
@@ -58,6 +63,7 @@ impl Arming {
             power: 0,
             seen_off: false,
             off: None,
+            unseen: None,
             stops: BTreeMap::new(),
         }
     }
@@ -105,6 +111,11 @@ impl Arming {
         (self.allowed, self.given, self.armed) = (None, false, false);
     }
 
+    /// Celld's process stands still in the frame that comes: it decides nothing.
+    pub fn stands_still(&mut self) {
+        [&mut self.off, &mut self.unseen].into_iter().flatten().for_each(|since| *since += 1);
+    }
+
     /// One controller frame.
     pub fn frame(&mut self, truth: &Truth, found: &mut Found) {
         let armed = truth.armed();
@@ -127,6 +138,7 @@ impl Arming {
         }
         self.guiding(truth, found);
         self.power(truth, found);
+        self.silence(truth, found);
         self.stops(truth, found);
     }
 
@@ -150,9 +162,18 @@ impl Arming {
         };
         self.seen_off = truth.armed() && (self.seen_off || truth.mode == RobotMode::PowerOff);
         self.power = if truth.armed() { self.power.max(step) } else { 0 };
-        self.off = if step < self.power { self.off.or(Some(truth.frame)) } else { None };
+        // Without states nobody can know: then silence has to end it.
+        self.off = if step < self.power && truth.shown { self.off.or(Some(truth.frame)) } else { None };
         if self.off.is_some_and(|since| truth.frame == since + KNOWN_FRAMES) {
             found.push(Rule::ArmedThroughPower, format!("{:?}", truth.mode));
+        }
+    }
+
+    fn silence(&mut self, truth: &Truth, found: &mut Found) {
+        let unseen = truth.armed() && !truth.shown;
+        self.unseen = if unseen { self.unseen.or(Some(truth.frame)) } else { None };
+        if self.unseen.is_some_and(|since| truth.frame == since + SILENCE_FRAMES) {
+            found.push(Rule::ArmedThroughLinkLoss, "no state of the arm for 3 s");
         }
     }
 

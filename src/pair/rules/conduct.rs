@@ -112,8 +112,9 @@ pub(super) struct Conduct {
     local_since: Option<u64>,
     /// When the daemon was started anew.
     restarted_at: Option<u64>,
-    /// When the cell was armed last.
+    /// When the cell was armed last, and the last command that the program had taken then or right after.
     armed_at: Option<u64>,
+    accepted: Option<i32>,
     /// Frames for which the arm has moved with a status that says that it rests.
     unshown: u64,
     /// A connection that was lost while the cell was armed.

@@ -60,6 +60,10 @@ pub(super) struct Truth<'a> {
     pub local: bool,
     /// A person holds the freedrive button.
     pub guided: bool,
+    /// The link that brings the arm's states works.
+    pub shown: bool,
+    /// The last command that the running program has taken.
+    pub accepted: i32,
     /// No program moves the arm: where it moves, forces move it.
     pub yields: bool,
     /// A program plays that has something to carry out.
@@ -95,6 +99,7 @@ impl<'a> Truth<'a> {
             core.mover.scaling().min(core.mover.pace()) >= 1.0 && core.registers.speed_fraction() >= 1.0;
         let safe = core.modes.motion_allowed();
         let outputs = &core.registers.output_ints;
+        let rtde = simulator.link(LinkName::Rtde);
         let ours = programs.name().is_some_and(|name| name.starts_with("celld_"));
         let idle = ours && outputs[ACCEPTED] == outputs[FINISHED];
         let carries_out = programs.playing() && !idle;
@@ -114,6 +119,8 @@ impl<'a> Truth<'a> {
             safe,
             local: !core.modes.remote(),
             guided: core.pendant.freedrive,
+            shown: !(rtde.silent || rtde.down),
+            accepted: outputs[ACCEPTED],
             yields: core.mover.has_braked(),
             carries_out,
             mode: core.modes.robot_mode(),

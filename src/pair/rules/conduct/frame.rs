@@ -64,14 +64,18 @@ impl Conduct {
     pub fn frame(&mut self, truth: &Truth, machine: &Machine, simulator: &Simulator) {
         let (frame, status, moves) = (truth.frame, truth.status, truth.moves);
         self.frame = frame;
-        let (nonce, stranger, safe, local) = (truth.nonce, !truth.ours, truth.safe, truth.local);
+        let (stranger, safe, local) = (!truth.ours, truth.safe, truth.local);
         if std::mem::replace(&mut self.paused, truth.paused) && !truth.paused {
             self.played_at = Some(frame).filter(|_| self.unreached());
         }
-        if moves && self.still >= STOOD_FRAMES {
+        // A motion that begins by hand and goes on with a program begins when the program moves the arm.
+        // Without one the arm only comes to rest.
+        self.by_hand = truth.yields && (truth.guided || self.by_hand && moves);
+        let driven = moves && !self.by_hand;
+        if driven && self.still >= STOOD_FRAMES {
             self.began_at = frame;
         }
-        self.still = if moves { 0 } else { self.still + 1 };
+        self.still = if driven { 0 } else { self.still + 1 };
         let works = status.is_some_and(|status| matches!(status.doing, Doing::Working(..)));
         if works && !std::mem::replace(&mut self.works, works) {
             self.picking |= self.meant;
@@ -83,11 +87,8 @@ impl Conduct {
         self.watch_gates(simulator, safe);
         self.check_lost(machine);
         self.check_answers(machine);
-        // A motion that begins by hand and goes on with a program begins when the program moves the arm.
-        // Without one the arm only comes to rest.
-        self.by_hand = truth.yields && (truth.guided || self.by_hand && moves);
-        let began = moves && !self.by_hand && !self.moved;
-        self.moved = moves && !self.by_hand;
+        let began = driven && !self.moved;
+        self.moved = driven;
         if self.moved && !self.silent() {
             self.moved_at = frame;
         }
@@ -98,16 +99,19 @@ impl Conduct {
             self.unreached_until = self.state_before_silence() + WATCHDOG_FRAMES;
         }
         if began && !stranger && !self.stranger {
-            self.check_begin(machine, nonce);
+            self.check_begin(machine, truth);
         }
         if truth.armed() {
             self.stopped_at = None;
             self.armed_at = Some(frame);
         }
+        if self.armed_just_now() {
+            self.accepted = Some(truth.accepted);
+        }
         if frame.is_multiple_of(DESCENT_EVERY) {
             self.check_descent(machine, simulator);
         }
-        self.check_stopped(moves);
+        self.check_stopped(driven);
         self.check_vacuum(frame, simulator, machine.supervisor().is_none_or(|cell| !cell.mode().ending()));
         self.check_status(machine, status);
         self.check_rest(moves && !stranger && !self.stranger, status);
@@ -222,7 +226,7 @@ impl Conduct {
     }
 
     /// The arm begins to move.
-    fn check_begin(&mut self, machine: &Machine, nonce: i32) {
+    fn check_begin(&mut self, machine: &Machine, truth: &Truth) {
         let restarted = self.restarted_at.is_some_and(|at| self.frame <= at + WATCHDOG_FRAMES);
         // What was streamed before celld was gone goes on until the program's watchdog ends it.
         if self.played_unreached() || restarted || self.goes_on_unreached() {
@@ -231,10 +235,10 @@ impl Conduct {
         let Some(supervisor) = machine.supervisor() else {
             return self.breach(Rule::MotionWhileDisarmed, "before the cell was commissioned".into());
         };
-        // An order that was on its way when the cell was disarmed is overtaken by the stop.
-        let just_now = self.armed_at.is_some_and(|at| self.frame <= at + ON_ITS_WAY_FRAMES);
-        if !supervisor.mode().armed() && !self.picking && !just_now {
-            self.breach(Rule::MotionWhileDisarmed, String::new());
+        // A path that was taken before goes on after each corner it stands in, unless a stop is ordered.
+        let goes_on = self.armed_just_now() || truth.carries_out && self.accepted == Some(truth.accepted);
+        if !supervisor.mode().armed() && !self.picking && !goes_on {
+            self.breach(Rule::MotionWhileDisarmed, format!("command {}", truth.accepted));
         }
         let state = self.last_state.min(self.given_state);
         if self.frame > state + STATE_AGE_FRAMES {
@@ -243,10 +247,15 @@ impl Conduct {
         if self.local_since.is_some_and(|since| self.frame > since + LOCAL_FRAMES) {
             self.breach(Rule::MotionInLocalControl, String::new());
         }
-        let ours = supervisor.nonce().is_some_and(|ours| ours.number() == nonce);
+        let ours = supervisor.nonce().is_some_and(|ours| ours.number() == truth.nonce);
         if !ours && supervisor.mode().armed() {
-            self.breach(Rule::MotionOfOldProgram, format!("nonce {nonce}"));
+            self.breach(Rule::MotionOfOldProgram, format!("nonce {}", truth.nonce));
         }
+    }
+
+    /// What was sent while the cell was armed may only arrive now.
+    fn armed_just_now(&self) -> bool {
+        self.armed_at.is_some_and(|at| self.frame <= at + ON_ITS_WAY_FRAMES)
     }
 
     fn check_vacuum(&mut self, frame: u64, simulator: &Simulator, machine_lives: bool) {
