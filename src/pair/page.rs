@@ -74,7 +74,8 @@ pub(super) fn plain(sentence: &str) -> String {
 
 fn plain_word(word: &str) -> String {
     if ["plank-", "block-", "lid-"].iter().any(|kind| word.starts_with(kind)) {
-        return "OBJECT".to_string();
+        let name = |c: char| c.is_ascii_alphanumeric() || c == '-';
+        return format!("OBJECT{}", word.trim_start_matches(name));
     }
     let mut plain = String::new();
     for character in word.chars() {

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::TcpListener;
+use tokio::net::{TcpListener, TcpStream};
 use tokio_modbus::server::tcp::{Server, accept_tcp_connection};
 use tokio_modbus::{ExceptionCode, Request, Response, SlaveRequest};
 
@@ -146,22 +146,29 @@ async fn an_address_where_nobody_listens_refuses() {
     assert_eq!(Rig::new(address).read().await, Err(ModbusFailure::Refused));
 }
 
+/// Answers one reading with this number, twice.
+async fn answer_one(stream: &mut TcpStream, per_mille: u8) {
+    let mut request = [0; 12];
+    stream.read_exact(&mut request).await.unwrap();
+    let answer = [request[0], request[1], 0, 0, 0, 7, UNIT, 3, 4, 0, per_mille, 0, per_mille];
+    stream.write_all(&answer).await.unwrap();
+}
+
 #[tokio::test]
 async fn a_silent_connection_is_reset_once_a_second_one_is_made() {
     let (listener, address) = listener().await;
     let mut rig = Rig::new(address);
     let device = async {
         let (mut first, _) = listener.accept().await.unwrap();
+        answer_one(&mut first, 8).await;
         let (mut second, _) = listener.accept().await.unwrap();
-        let mut request = [0; 12];
-        second.read_exact(&mut request).await.unwrap();
-        let answer = [request[0], request[1], 0, 0, 0, 7, UNIT, 3, 4, 0, 9, 0, 9];
-        second.write_all(&answer).await.unwrap();
+        answer_one(&mut second, 9).await;
         let mut rest = Vec::new();
         let end = first.read_to_end(&mut rest).await.map_err(|error| error.kind());
         (rest.len(), end.map(drop), second)
     };
     let client = async {
+        assert_eq!(rig.read().await, Ok(vec![8, 8]));
         assert_eq!(rig.read().await, Err(ModbusFailure::Timeout));
         rig.read().await
     };
