@@ -162,7 +162,7 @@ impl Arming {
         };
         self.seen_off = truth.armed() && (self.seen_off || truth.mode == RobotMode::PowerOff);
         self.power = if truth.armed() { self.power.max(step) } else { 0 };
-        // Without states nobody can know: then silence has to end it.
+        // Without states celld cannot know. `silence` judges that.
         self.off = if step < self.power && truth.shown { self.off.or(Some(truth.frame)) } else { None };
         if self.off.is_some_and(|since| truth.frame == since + KNOWN_FRAMES) {
             found.push(Rule::ArmedThroughPower, format!("{:?}", truth.mode));

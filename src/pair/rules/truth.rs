@@ -64,7 +64,7 @@ pub(super) struct Truth<'a> {
     pub shown: bool,
     /// The last command that the running program has taken.
     pub accepted: i32,
-    /// No program moves the arm: where it moves, forces move it.
+    /// No program moves the arm. If it moves, a hand or another force does it.
     pub yields: bool,
     /// A program plays that has something to carry out.
     pub carries_out: bool,

@@ -235,7 +235,7 @@ impl Conduct {
         let Some(supervisor) = machine.supervisor() else {
             return self.breach(Rule::MotionWhileDisarmed, "before the cell was commissioned".into());
         };
-        // A path that was taken before goes on after each corner it stands in, unless a stop is ordered.
+        // A path that the program took while the cell was armed may stand in a corner and go on.
         let goes_on = self.armed_just_now() || truth.carries_out && self.accepted == Some(truth.accepted);
         if !supervisor.mode().armed() && !self.picking && !goes_on {
             self.breach(Rule::MotionWhileDisarmed, format!("command {}", truth.accepted));

@@ -17,10 +17,9 @@
 //!   box receives the reset.
 //! - A command that was sent on a silent connection is sent on the next one too. It may arrive twice within
 //!   its second, and does the same each time.
-//! - A command is sent only on a connection on which the box has answered: before that a reading goes out.
-//!   A box that lets a second client wait would carry the command out when its turn comes.
-//! - A connection on which the box has never answered is kept for 30 s: whoever connects again goes to the
-//!   end of the line.
+//! - On a new connection we read first, and send a command only after an answer. A box that queues clients
+//!   would otherwise carry the command out whenever our turn comes.
+//! - If the box never answers, we keep the connection for 30 s: a new one would lose our place in the queue.
 //! - A connection that is given up is reset, never closed in order: what it has not delivered must not
 //!   reach the gripper after what the next one says.
 //! - A box that closes our connection twice within 10 s gives the place to another client. We wait 1 s
@@ -316,7 +315,7 @@ impl Master {
         }
     }
 
-    /// The box answers on this connection: it takes commands now.
+    /// The box has answered on this connection, so a command may go out.
     fn is_served(&mut self, now: Timestamp) {
         let Some(connection) = &mut self.connection else { return };
         connection.answered = true;
