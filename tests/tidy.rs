@@ -97,7 +97,11 @@ const TABLE: &[Row] = &[
         uses: Uses::Only(&["cell-values", "ur-arm", "rearrange", "cell-vision", "cell-motion"]),
         pure: true,
     },
-    Row { module: "io", uses: Uses::Only(&["cell-values", "cell-edge", "cell-vision::camera"]), pure: false },
+    Row {
+        module: "io",
+        uses: Uses::Only(&["cell-values", "cell-edge", "cell-vision::camera", "rearrange::document"]),
+        pure: false,
+    },
     Row {
         module: "jobs",
         uses: Uses::Only(&[

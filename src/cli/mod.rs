@@ -31,6 +31,7 @@ pub mod markers;
 pub mod open;
 pub mod plan;
 mod progress;
+pub mod realsense;
 pub mod record;
 pub mod replay;
 pub mod schema;
@@ -110,6 +111,9 @@ enum Command {
     #[cfg(feature = "fleet")]
     #[command(subcommand)]
     Fleet(fleet::FleetCommand),
+    /// Read a RealSense camera for the celld that starts this: requests on standard input
+    #[command(hide = true)]
+    Realsense,
     #[command(flatten)]
     Client(jobs::ClientCommand),
 }
@@ -181,6 +185,7 @@ pub fn main() -> ExitCode {
         Command::Bench(Bench::Loop(args)) => bench_loop::run(&args),
         #[cfg(feature = "fleet")]
         Command::Fleet(command) => fleet::run(command, &stop),
+        Command::Realsense => realsense::run(),
         Command::Client(jobs::ClientCommand::Watch(args)) => watch::run(&args, &stop),
         Command::Client(command) => jobs::run(command, &stop),
     })

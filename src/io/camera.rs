@@ -9,6 +9,7 @@
 
 pub mod fault;
 pub mod folder;
+mod helper;
 pub mod http;
 pub mod late;
 pub mod monitored;
@@ -26,6 +27,7 @@ pub use fault::{CameraError, FaultKind};
 use cell_values::image::Image;
 use cell_values::image::depth::DepthImage;
 use cell_vision::camera::CameraModel;
+use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
 /// What is requested of a USB camera.
@@ -59,7 +61,8 @@ pub struct Frame {
 }
 
 /// How long a pixel gathers light.
-#[derive(Clone, Copy, Debug, PartialEq, Default)]
+#[derive(Clone, Copy, Debug, PartialEq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Exposure {
     /// The camera decides, picture by picture.
     #[default]

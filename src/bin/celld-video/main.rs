@@ -9,17 +9,12 @@ mod capture;
 mod wire;
 
 use capture::Capture;
-use rustix::process::{Signal, getpid, kill_process};
+use cell_edge::requests::{replies, requests};
 use serde::de::DeserializeOwned;
-use std::fs::File;
-use std::io::{BufRead, BufWriter, Write};
+use std::io::Write;
 use std::process::ExitCode;
-use std::sync::mpsc::{Receiver, sync_channel};
-use std::time::Duration;
+use std::sync::mpsc::Receiver;
 use wire::{Reply, Request, Source, WIRE};
-
-/// Time to answer what was requested before the input ended.
-const END_LIMIT: Duration = Duration::from_secs(10);
 
 fn main() -> ExitCode {
     if std::env::args_os().len() > 1 {
@@ -38,31 +33,6 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
-}
-
-/// Standard output for the replies alone: what a library prints goes to standard error.
-fn replies() -> std::io::Result<BufWriter<File>> {
-    let own = rustix::io::dup(std::io::stdout())?;
-    rustix::stdio::dup2_stdout(std::io::stderr())?;
-    Ok(BufWriter::new(own.into()))
-}
-
-/// The lines of standard input. The process ends with them, whatever it waits for.
-fn requests() -> Receiver<String> {
-    let (send, requests) = sync_channel(1);
-    std::thread::spawn(move || {
-        for line in std::io::stdin().lock().lines() {
-            let Ok(line) = line else { break };
-            if send.send(line).is_err() {
-                return;
-            }
-        }
-        drop(send);
-        std::thread::sleep(END_LIMIT);
-        // Without what a library does at an orderly end: its driver blocks.
-        let _ = kill_process(getpid(), Signal::KILL);
-    });
-    requests
 }
 
 fn serve(requests: &Receiver<String>, replies: &mut impl Write) -> std::io::Result<()> {

@@ -8,11 +8,13 @@ use cell_values::image::ImageError;
 use cell_values::image::quality::PictureFault;
 use cell_vision::camera::CameraModelError;
 use rustix::io::Errno;
+use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::time::Duration;
 
 /// Kinds of faults.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum FaultKind {
     /// It does not answer, or is not there.
     Unplugged,
@@ -294,9 +296,20 @@ pub enum CameraError {
         #[source]
         source: Option<Box<dyn std::error::Error + Send + Sync>>,
     },
+    /// What the process says that reads a camera with the RealSense SDK.
+    #[error("{what}")]
+    Reported {
+        /// The kind of fault.
+        kind: FaultKind,
+        /// What went wrong, with its place.
+        what: String,
+        /// Why.
+        #[source]
+        source: Option<Box<dyn std::error::Error + Send + Sync>>,
+    },
     /// The program that reads it cannot be started.
     #[error(
-        "{place}: videos and USB cameras are read by {}, which cannot be started",
+        "{place} is read by the program {}, which cannot be started",
         program.display()
     )]
     NoReader {
@@ -350,6 +363,7 @@ impl CameraError {
             | CameraError::NoPictures { .. } => FaultKind::Misfit,
             CameraError::EndOfRecording { .. } => FaultKind::Ended,
             CameraError::GivenUp { last, .. } => last.kind(),
+            CameraError::Reported { kind, .. } => *kind,
         }
     }
 }

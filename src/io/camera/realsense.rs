@@ -1,50 +1,81 @@
 //! A RealSense camera, or a recording of one, through librealsense2.
 //!
 //! In: settings (which camera or file, size, rate, exposure, depth or not). Out: colour pictures with the
-//! camera's own count and time, depth laid over the colour picture, the factory's lens. The SDK is loaded
-//! when such a camera is opened and not before (`sdk`); `stream` starts it, `picture` turns what it sends
-//! into our values. Each picture of a live camera is one whose exposure began after it was requested; of a
-//! recording, every frame comes once.
+//! camera's own count and time, depth laid over the colour picture, the factory's lens. The SDK runs in a
+//! process of its own (`process`), which is celld's own binary: now and then the SDK corrupts its heap
+//! (2.59: one recording in some thousands on a busy computer, also when a C program plays it), and in the
+//! daemon that would end the control loop. In that process `sdk` loads the library, `stream` starts it,
+//! `player` waits for pictures and `picture` turns what comes into our values.
 
 mod picture;
+mod player;
+mod process;
 pub mod sdk;
 mod stream;
 
+pub use process::serve;
 pub use stream::RealSenseSettings;
 
+use crate::io::camera::helper::{Cause, Helper, Process, Role};
+use crate::io::camera::realsense::process::{GRAB, Reply, Task};
+use crate::io::camera::realsense::sdk::Intrinsics;
 use crate::io::camera::validator::FrameValidator;
 use crate::io::camera::{CameraError, CameraSource, Frame};
+use cell_values::image::Image;
+use cell_values::image::depth::DepthImage;
 use cell_vision::camera::CameraModel;
-use picture::{Heads, factory_lens, frame_of, heads_of};
-use sdk::{Frames, Sdk, SdkError};
+use picture::factory_lens;
+use rearrange::document::chain::chain;
+use rustix::process::Signal;
+use std::ffi::{OsStr, OsString};
+use std::os::unix::process::ExitStatusExt;
+use std::process::Command;
 use std::time::{Duration, Instant};
-use stream::{Running, begin, place_of};
+use stream::place_of;
 
-/// How long the SDK is waited for at a time.
-const WAIT: Duration = Duration::from_millis(200);
-/// Colour pictures passed over before the one that counts: one that was waiting, one whose exposure had
-/// begun.
-const BEFORE_ASKED: u32 = 2;
+/// The process's name in messages.
+const NAME: &str = "the process of the RealSense SDK";
+/// What the process may take longer than a set of frames: the SDK loads and starts its streams, and the
+/// first pictures are passed over.
+const HUNG_AFTER: Duration = Duration::from_secs(10);
+/// Time to stop the streams at an orderly end: a camera that is cut off may have to be restarted.
+const FAREWELL: Duration = Duration::from_secs(3);
+/// How often the process is started again in a row when it crashes.
+const STARTS: u32 = 3;
 /// How long a camera that was restarted may take to come back.
 const BACK_WITHIN: Duration = Duration::from_secs(12);
+/// Before the next try to open it.
+const PAUSE: Duration = Duration::from_millis(200);
 
 /// A RealSense camera.
 pub struct RealSenseCamera {
+    /// What is started to read it, with its arguments.
+    program: Vec<OsString>,
     settings: RealSenseSettings,
     limit: Duration,
     lens: Option<CameraModel>,
-    sdk: Sdk,
     running: Option<Running>,
+    /// The process before, while a driver keeps it: it has the camera.
+    process: Option<Process>,
     watch: FrameValidator,
     taken: u64,
+    /// Number of the picture handed out last.
+    last: Option<u64>,
+}
+
+/// A process that streams.
+struct Running {
+    helper: Helper,
+    serial: String,
+    lens: Option<Intrinsics>,
 }
 
 impl RealSenseCamera {
     /// Starts the stream. A picture may take up to `limit`.
     ///
     /// # Errors
-    /// `RealSense` with what is missing or refused, `File` without the recording, `NotConnected`,
-    /// `OtherSerial`, `Setting`, `Model` when the lens is for another camera or size.
+    /// `File` without the recording, `OtherSerial`, `Model` when the lens is for another size, `Reported`
+    /// with what the SDK or its process says, `Silent` and `Video` when the process hangs or ends.
     pub fn open(
         settings: RealSenseSettings,
         limit: Duration,
@@ -53,87 +84,164 @@ impl RealSenseCamera {
         if let Some(path) = &settings.file {
             std::fs::File::open(path).map_err(|source| CameraError::File { path: path.clone(), source })?;
         }
-        let place = place_of(&settings);
-        let sdk = Sdk::load(settings.library.as_deref())
-            .map_err(|source| CameraError::RealSense { place, source })?;
-        let (running, watch) = (None, FrameValidator::default());
-        let mut camera = RealSenseCamera { settings, limit, lens, sdk, running, watch, taken: 0 };
+        RealSenseCamera::read_by(own_program(), settings, limit, lens)
+    }
+
+    fn read_by(
+        program: Vec<OsString>,
+        settings: RealSenseSettings,
+        limit: Duration,
+        lens: Option<CameraModel>,
+    ) -> Result<RealSenseCamera, CameraError> {
+        let (running, process, watch) = (None, None, FrameValidator::default());
+        let mut camera =
+            RealSenseCamera { program, settings, limit, lens, running, process, watch, taken: 0, last: None };
         camera.start()?;
         Ok(camera)
     }
 
     fn start(&mut self) -> Result<(), CameraError> {
+        // One process at a time has the camera.
         self.running = None;
-        let running = begin(&self.sdk, &self.settings)?;
         let place = place_of(&self.settings);
+        if self.process.as_ref().is_some_and(|process| process.ended().is_none()) {
+            return Err(CameraError::Silent { place, limit: self.limit });
+        }
+        let running = self.again_after_crashes(RealSenseCamera::process_that_streams)?;
         let wanted = self.lens.as_ref().map(|lens| &lens.serial).or(self.settings.serial.as_ref());
         if let Some(wanted) = wanted.filter(|wanted| **wanted != running.serial) {
-            let (found, wanted) = (running.serial.clone(), wanted.clone());
+            let (found, wanted) = (running.serial, wanted.clone());
             return Err(CameraError::OtherSerial { address: place, found, wanted });
         }
-        if let (Some(lens), Some(own)) = (&self.lens, running.colour.intrinsics) {
+        if let (Some(lens), Some(own)) = (&self.lens, running.lens) {
             lens.check_picture(own.width.unsigned_abs(), own.height.unsigned_abs())?;
         }
         self.running = Some(running);
         Ok(())
     }
 
-    fn refused(&self) -> impl Fn(SdkError) -> CameraError + use<> {
-        let place = place_of(&self.settings);
-        move |source| CameraError::RealSense { place: place.clone(), source }
+    fn process_that_streams(&mut self) -> Result<Running, CameraError> {
+        let task = Task::Stream { settings: self.settings.clone(), limit: self.limit };
+        let mut helper = self.helper()?;
+        self.process = Some(helper.process());
+        match helper.request(&task)? {
+            Reply::Open { serial, lens } => Ok(Running { helper, serial, lens }),
+            other => Err(unexpected(&helper, other)),
+        }
     }
 
-    /// The next set of frames, whatever its age.
-    fn next_set(&mut self) -> Result<Frames, CameraError> {
+    /// What comes of it, tried again while the process crashes.
+    fn again_after_crashes<T>(
+        &mut self,
+        mut go: impl FnMut(&mut RealSenseCamera) -> Result<T, CameraError>,
+    ) -> Result<T, CameraError> {
+        let mut starts = 1;
+        loop {
+            match go(self) {
+                Err(error) if starts < STARTS && self.has_crashed() => {
+                    tracing::warn!(error = chain(&error), "camera: started again");
+                    starts += 1;
+                }
+                done => return done,
+            }
+        }
+    }
+
+    /// True when a signal ended the process, and none of ours.
+    fn has_crashed(&self) -> bool {
+        let ended = self.process.as_ref().and_then(Process::ended);
+        ended.and_then(|status| status.signal()).is_some_and(|signal| signal != Signal::KILL.as_raw())
+    }
+
+    fn helper(&self) -> Result<Helper, CameraError> {
+        let mut words = self.program.iter();
+        let mut command = Command::new(words.next().map_or(OsStr::new(""), OsString::as_os_str));
+        command.args(words);
+        let (place, limit) = (place_of(&self.settings).into(), self.limit + HUNG_AFTER);
+        Helper::start(command, Role { name: NAME, place, limit, farewell: FAREWELL })
+    }
+
+    /// The next picture, of a process that may have to be started first.
+    fn next(&mut self) -> Result<Frame, CameraError> {
+        if self.running.is_none() {
+            if self.is_live() {
+                self.watch.restarted();
+            }
+            self.start()?;
+        }
         let place = place_of(&self.settings);
-        let refused = self.refused();
-        let Some(running) = &mut self.running else {
+        let Some(mut running) = self.running.take() else {
             return Err(CameraError::Silent { place, limit: Duration::ZERO });
         };
-        let begun = Instant::now();
+        let frame = match running.helper.request(&GRAB)? {
+            Reply::Picture { width, height, sequence, time_s, depth } => {
+                let broken = |source| CameraError::Picture { place: place.clone(), source };
+                let pixels = (width as usize).saturating_mul(height as usize);
+                let rgb = running.helper.bytes(pixels.saturating_mul(3))?;
+                let image = Image::from_rgb(width, height, rgb).map_err(broken)?;
+                let depth = match depth {
+                    true => Some(running.helper.bytes(pixels.saturating_mul(4))?),
+                    false => None,
+                };
+                let depth = depth.map(|bytes| depth_of(width, height, &bytes).map_err(broken)).transpose()?;
+                Ok(Frame { image, sequence, time_s, source: place.clone(), depth })
+            }
+            Reply::End => Err(CameraError::EndOfRecording { place, frames: self.taken }),
+            other => Err(unexpected(&running.helper, other)),
+        };
+        // One that answers is kept, whatever it says; one that does not ends with the value.
+        self.running = Some(running);
+        frame
+    }
+
+    /// The same; of a recording none that was handed out before. It plays from its beginning when its
+    /// process had to be started again.
+    fn next_new(&mut self) -> Result<Frame, CameraError> {
         loop {
-            if let Some(frames) = running.pipeline.wait(WAIT).map_err(&refused)? {
-                return Ok(frames);
-            }
-            if self.settings.file.is_some() && running.device.has_ended().map_err(&refused)? {
-                return Err(CameraError::EndOfRecording { place, frames: self.taken });
-            }
-            if begun.elapsed() > self.limit {
-                return Err(CameraError::Silent { place, limit: self.limit });
+            let frame = match self.is_live() {
+                true => self.next()?,
+                false => self.again_after_crashes(RealSenseCamera::next)?,
+            };
+            if self.is_live() || self.last.is_none_or(|last| frame.sequence > last) {
+                return Ok(frame);
             }
         }
     }
 
-    /// The next set with everything in it, of one moment, with a new colour picture. The SDK hands out a set
-    /// whenever one of its streams has something new; a camera that never has is let through in the end, for
-    /// the watch to report.
-    fn whole_set(&mut self) -> Result<Frames, CameraError> {
-        let begun = Instant::now();
-        loop {
-            let set = self.next_set()?;
-            let heads = heads_of(&set).map_err(self.refused())?;
-            let over = begun.elapsed() > self.limit;
-            let Some(running) = &mut self.running else { continue };
-            let apart_s = 0.75 / f64::from(running.colour.rate.max(1));
-            match heads {
-                Heads { colour: Some((number, time_s)), depth_s }
-                    if (!self.settings.depth
-                        || depth_s.is_some_and(|depth_s| (depth_s - time_s).abs() < apart_s))
-                        && (running.last != Some(number) || over) =>
-                {
-                    running.last = Some(number);
-                    return Ok(set);
-                }
-                _ if over => {
-                    let what = "its sets of frames lack the colour or the depth picture; if that stays so, \
-                                set both streams to the same rate, or set `depth: false`"
-                        .to_string();
-                    return Err(CameraError::Incomplete { place: place_of(&self.settings), what });
-                }
-                _ => {}
-            }
+    fn restart(&self) -> Result<(), CameraError> {
+        let lens = self.lens.as_ref().map(|lens| lens.serial.clone());
+        let settings =
+            RealSenseSettings { serial: lens.or(self.settings.serial.clone()), ..self.settings.clone() };
+        let mut helper = self.helper()?;
+        match helper.request(&Task::Restart { settings })? {
+            Reply::Restarted => Ok(()),
+            other => Err(unexpected(&helper, other)),
         }
     }
+}
+
+fn unexpected(helper: &Helper, reply: Reply) -> CameraError {
+    match reply {
+        Reply::Failed { kind, what, cause } => {
+            CameraError::Reported { kind, what, source: cause.map(|cause| Cause(cause).into()) }
+        }
+        Reply::Open { .. } | Reply::Picture { .. } | Reply::End | Reply::Restarted => {
+            helper.of_another_version()
+        }
+    }
+}
+
+fn depth_of(width: u32, height: u32, bytes: &[u8]) -> Result<DepthImage, cell_values::image::ImageError> {
+    let floats = bytes.chunks_exact(4).map(|four| f32::from_le_bytes([four[0], four[1], four[2], four[3]]));
+    DepthImage::from_metres(width, height, floats.collect())
+}
+
+/// This binary, also when another has taken its place on the disk; beside a test, celld's.
+fn own_program() -> Vec<OsString> {
+    let own = std::env::current_exe().unwrap_or_default();
+    let deps = own.parent().filter(|folder| folder.ends_with("deps"));
+    let celld = deps.map(|deps| deps.with_file_name("celld"));
+    vec![celld.unwrap_or_else(|| "/proc/self/exe".into()).into(), "realsense".into()]
 }
 
 impl CameraSource for RealSenseCamera {
@@ -145,34 +253,14 @@ impl CameraSource for RealSenseCamera {
         let Some(running) = &self.running else {
             return Err(CameraError::Silent { place, limit: Duration::ZERO });
         };
-        let own = running.colour.intrinsics.ok_or(CameraError::NoIntrinsics { place })?;
+        let own = running.lens.ok_or(CameraError::NoIntrinsics { place })?;
         Ok(factory_lens(&running.serial, &own).model()?)
     }
 
     fn grab(&mut self) -> Result<Frame, CameraError> {
-        if self.running.is_none() {
-            self.start()?;
-        }
-        let live = self.is_live();
-        let stale = match &mut self.running {
-            Some(running) if live => BEFORE_ASKED + std::mem::take(&mut running.warming),
-            _ => 0,
-        };
-        for _ in 0..stale {
-            self.whole_set()?;
-        }
-        let set = self.whole_set()?;
-        let refused = self.refused();
-        let place = place_of(&self.settings);
-        let Some(running) = &self.running else {
-            return Err(CameraError::Silent { place, limit: Duration::ZERO });
-        };
-        let set = match &running.align {
-            Some(align) => align.apply(set).map_err(&refused)?,
-            None => set,
-        };
-        let frame = frame_of(&set, running.unit_m, self.settings.depth, &place)?;
+        let frame = self.next_new()?;
         self.taken += 1;
+        self.last = Some(frame.sequence);
         self.watch.check(&frame, self.lens.as_ref())?;
         Ok(frame)
     }
@@ -200,31 +288,21 @@ impl CameraSource for RealSenseCamera {
     }
 
     fn reset(&mut self) -> Result<(), CameraError> {
-        let refused = self.refused();
-        // A camera that has gone away altogether cannot be commanded to restart; waiting for it is all that
-        // is left.
-        if let Some(running) = self.running.take() {
-            running.device.reset().map_err(&refused)?;
-        } else {
-            let context = self.sdk.context().map_err(&refused)?;
-            let serial = self.lens.as_ref().map(|lens| &lens.serial).or(self.settings.serial.as_ref());
-            for device in context.devices().map_err(&refused)? {
-                let own = device.info(sdk::INFO_SERIAL).map_err(&refused)?;
-                // The one that is meant, or the only one that there is to mean.
-                if serial.is_none() || own.as_ref() == serial {
-                    device.reset().map_err(&refused)?;
-                }
-            }
-        }
+        // One process at a time has the camera. A camera that has gone away altogether cannot be commanded
+        // to restart; waiting for it is all that is left.
+        self.running = None;
+        self.restart()?;
         let begun = Instant::now();
         loop {
             match self.reopen() {
-                Err(_) if begun.elapsed() < BACK_WITHIN => std::thread::sleep(WAIT),
+                Err(_) if begun.elapsed() < BACK_WITHIN => std::thread::sleep(PAUSE),
                 done => return done,
             }
         }
     }
 }
 
+#[cfg(test)]
+mod scripted;
 #[cfg(test)]
 mod tests;

@@ -5,7 +5,8 @@
 //! read; those that were exposed before a picture was requested are passed over, or a look would see the
 //! table as it was at the last one.
 
-use crate::io::camera::reader::{Process, Reader};
+use crate::io::camera::helper::Process;
+use crate::io::camera::reader::Reader;
 use crate::io::camera::validator::FrameValidator;
 use crate::io::camera::wire::Source;
 use crate::io::camera::{CameraError, CameraSource, Exposure, Frame, UvcSettings};

@@ -6,10 +6,11 @@
 
 use crate::io::camera::realsense::sdk::{self, Align, Context, Device, Pipeline, Sdk, SdkError, Stream};
 use crate::io::camera::{CameraError, Exposure};
+use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// What is requested of the camera.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RealSenseSettings {
     /// Which camera; the only one connected if absent. Of a recording: which camera it must be of.
     pub serial: Option<String>,

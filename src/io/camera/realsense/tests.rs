@@ -95,6 +95,22 @@ fn both_kinds_of_recording_play_to_their_end_with_serial_and_lens() {
 }
 
 #[test]
+fn a_recording_plays_on_where_it_was_when_the_sdk_crashes() {
+    let Some(library) = clients().as_deref().and_then(library_in) else { return };
+    for name in ["sample-d405.bag", "sample-d405.db3"] {
+        let Some(file) = recording(name) else { return };
+        let mut camera = RealSenseCamera::open(settings(&library, &file), LIMIT, None).unwrap();
+        let first = camera.grab().unwrap().sequence;
+        for number in 1..6 {
+            camera.process.as_ref().unwrap().signal(Signal::ABORT);
+            assert_eq!(camera.grab().unwrap().sequence, first + number, "{name}");
+        }
+        camera.process.as_ref().unwrap().signal(Signal::ABORT);
+        assert!(matches!(camera.grab().unwrap_err(), CameraError::EndOfRecording { frames: 6, .. }));
+    }
+}
+
+#[test]
 fn the_markers_in_the_recording_are_where_they_were_put() {
     let Some(library) = clients().as_deref().and_then(library_in) else { return };
     let Some(file) = recording("sample-d405.bag") else { return };
@@ -197,7 +213,7 @@ fn cut_and_foreign_files_are_errors_that_name_the_file() {
     std::fs::write(path("text.bag"), b"no recording").unwrap();
     let reported = RealSenseCamera::open(settings(&library, &path("text.bag")), LIMIT, None).err().unwrap();
     assert!(
-        matches!(reported, CameraError::Recording { .. }) && reported.to_string().contains("text.bag"),
+        reported.kind() == FaultKind::Misfit && reported.to_string().contains("text.bag cannot be played"),
         "{reported:?}"
     );
     let gone = RealSenseCamera::open(settings(&library, &path("gone.bag")), LIMIT, None).err().unwrap();
@@ -214,9 +230,9 @@ fn without_a_camera_the_sdk_says_that_none_is_connected() {
     };
     // A serial number that no camera has: with one connected the others are listed.
     let reported = RealSenseCamera::open(live("none-such"), LIMIT, None).err().unwrap();
-    assert!(matches!(reported, CameraError::NotConnected { .. }), "{reported:?}");
     assert!(
-        reported.kind() == FaultKind::Unplugged && reported.to_string().contains("none-such"),
+        reported.kind() == FaultKind::Unplugged
+            && reported.to_string().contains("none-such is not connected"),
         "{reported}"
     );
 }
@@ -228,7 +244,6 @@ fn without_the_sdk_the_remedy_is_reported() {
     std::fs::write(&file, b"x").unwrap();
     let absent = settings(&folder.path().join("librealsense2.so"), &file);
     let reported = RealSenseCamera::open(absent, LIMIT, None).err().unwrap();
-    let CameraError::RealSense { source, .. } = &reported else { panic!("{reported:?}") };
-    assert!(source.to_string().contains("install librealsense2"), "{source}");
+    assert!(chain(&reported).contains("install librealsense2"), "{reported:?}");
     assert_eq!(reported.kind(), FaultKind::Misfit);
 }

@@ -5,6 +5,7 @@
 
 use libloading::Library;
 use libloading::os::unix::{Library as UnixLibrary, RTLD_GLOBAL, RTLD_LOCAL, RTLD_NOW};
+use serde::{Deserialize, Serialize};
 use std::ffi::{CStr, CString, c_char, c_double, c_float, c_int, c_uint, c_ulonglong, c_void};
 use std::path::{Path, PathBuf};
 use std::ptr::{NonNull, null_mut};
@@ -125,7 +126,7 @@ pub(super) type Delete = unsafe extern "C" fn(Pointer);
 
 /// `rs2_intrinsics`.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Intrinsics {
     /// Pixels per row.
     pub width: c_int,

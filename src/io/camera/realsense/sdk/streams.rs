@@ -169,6 +169,11 @@ impl Profile {
             let profile = profile_at(&list, index as c_int)?;
             // The profile belongs to the list, which lives until the end of this function.
             list.call(|f, _, e| unsafe { (f.rs2_get_video_stream_intrinsics)(profile.as_ptr(), place, e) })?;
+            let [fx, fy, ppx, ppy] = [lens.fx, lens.fy, lens.ppx, lens.ppy];
+            if ![fx, fy, ppx, ppy].iter().chain(&lens.coefficients).all(|number| number.is_finite()) {
+                let what = format!("{lens:?}");
+                return Err(SdkError::Nonsense { function: "rs2_get_video_stream_intrinsics", what });
+            }
             stream.intrinsics = Some(lens);
         }
         Ok(streams)
@@ -234,7 +239,12 @@ impl Picture {
     /// # Errors
     /// The SDK's.
     pub fn time_s(&self) -> Result<f64, SdkError> {
-        self.0.call(|f, at, e| unsafe { (f.rs2_get_frame_timestamp)(at, e) }).map(|ms| ms / 1e3)
+        let time_ms = self.0.call(|f, at, e| unsafe { (f.rs2_get_frame_timestamp)(at, e) })?;
+        if !time_ms.is_finite() {
+            let what = format!("{time_ms} ms");
+            return Err(SdkError::Nonsense { function: "rs2_get_frame_timestamp", what });
+        }
+        Ok(time_ms / 1e3)
     }
 
     /// Its rows, with `bytes` bytes a pixel.

@@ -1,0 +1,25 @@
+//! `celld realsense`: the process in which the RealSense SDK runs; celld starts it, nobody else does.
+//!
+//! In: requests on standard input, which is a pipe. Out: replies on standard output. Exit code 0 at the end
+//! of its input, 2 at a terminal.
+
+use crate::io::camera::realsense::serve;
+use cell_edge::terminal::complain;
+use std::io::IsTerminal;
+
+/// Runs the command; the exit code.
+pub fn run() -> u8 {
+    if std::io::stdin().is_terminal() {
+        complain(
+            "celld realsense reads a camera for the celld that starts it: `celld capture` takes a picture",
+        );
+        return 2;
+    }
+    match serve() {
+        Ok(()) => 0,
+        Err(error) => {
+            complain(&format!("celld realsense: {error}"));
+            1
+        }
+    }
+}
