@@ -83,6 +83,8 @@ pub(super) fn run(args: &TrialArgs, stop: Arc<AtomicBool>) -> u8 {
 
 async fn measure(config: &CellConfig, yes: bool, stop: Arc<AtomicBool>) -> Result<(), String> {
     let stopped = || stop.load(Ordering::Relaxed);
+    // A simulator would wait for a celld that is silent, and the arm with it.
+    let config = &CellConfig { simulation: None, ..config.clone() };
     let mut trial = Trial::ready(config, yes, "is stopped on the way across, three times", &stopped).await?;
     let host = address(&config.devices.robot_host)?;
     for way in WAYS {

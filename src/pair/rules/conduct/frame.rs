@@ -44,8 +44,9 @@ const HELD_UP: f64 = 0.02;
 /// The arm stands in a corner of its path for 200 ms at most.
 const CORNER_FRAMES: u64 = 100;
 
-/// Something held is read at least this often; a lost gripper is noticed first.
-const WATCH_FRAMES: u64 = 500;
+/// Something held is read at least this often: a reading that is not answered fails after 1 s, then the next
+/// one goes out.
+const WATCH_FRAMES: u64 = 550;
 
 /// What was sent has arrived after this long: network and one frame of the program, 100 ms.
 const ON_ITS_WAY_FRAMES: u64 = 50;
