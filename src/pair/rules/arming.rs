@@ -5,13 +5,10 @@
 
 use crate::pair::rules::found::Found;
 use crate::pair::rules::rule::Rule;
-use crate::pair::rules::truth::{KNOWN_FRAMES, Truth};
+use crate::pair::rules::truth::{FRAMES_PER_S, KNOWN_FRAMES, Truth};
 use cell_machine::orders::{Order, Reply};
 use std::collections::BTreeMap;
 use ur_wire::enumerations::RobotMode;
-
-/// Controller frames a second.
-const FRAMES_PER_S: f64 = 500.0;
 
 /// Arming lapses so much later than the arm's last motion at most, 30 s: what ends a look or a plan, in
 /// which the time does not count.

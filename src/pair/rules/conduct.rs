@@ -78,6 +78,8 @@ pub(super) struct Conduct {
     /// When the newest state that the machine was given had arrived.
     given_state: u64,
     last_read: u64,
+    /// Until then the gripper's answers may come late.
+    held_up_until: u64,
     frame: u64,
     /// Records on their way to the disk, with whether a grip waits for them.
     open: BTreeMap<u64, bool>,

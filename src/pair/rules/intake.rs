@@ -7,15 +7,12 @@
 
 use crate::pair::rules::found::Found;
 use crate::pair::rules::rule::Rule;
-use crate::pair::rules::truth::Truth;
+use crate::pair::rules::truth::{FRAMES_PER_S, Truth};
 use crate::pair::shell::folder::Fate;
 use crate::pair::shell::{Client, Happened, Way};
 use cell_machine::intake::{COUNTS_FOR_S, HELD_UP_AFTER, REACH_WITHIN};
 use cell_machine::orders::Order;
 use std::collections::BTreeMap;
-
-/// Controller frames a second.
-const FRAMES_PER_S: f64 = 500.0;
 
 /// A stop is handed on within this, 10 ms: with its decision it takes 20.
 const HANDED_ON_FRAMES: u64 = 5;

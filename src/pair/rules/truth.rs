@@ -13,6 +13,9 @@ use ur_sim::faults::link::LinkName;
 use ur_sim::simulator::Simulator;
 use ur_wire::enumerations::RobotMode;
 
+/// Controller frames a second.
+pub(super) const FRAMES_PER_S: f64 = 500.0;
+
 /// After this long celld has to know of what has happened, 0.5 s.
 pub(super) const KNOWN_FRAMES: u64 = 250;
 
@@ -81,6 +84,11 @@ pub(super) fn gripper_answers(simulator: &Simulator) -> bool {
     let link = simulator.link(LinkName::Gripper);
     let prompt = link.latency < ANSWER_WITHIN;
     prompt && !link.silent && !link.down && link.exception.is_none() && !link.wrong_transaction
+}
+
+/// How late the gripper's answers are, controller frames.
+pub(super) fn gripper_latency_frames(simulator: &Simulator) -> u64 {
+    (simulator.link(LinkName::Gripper).latency.as_secs_f64() * FRAMES_PER_S) as u64
 }
 
 impl<'a> Truth<'a> {

@@ -6,7 +6,7 @@
 
 use crate::pair::rules::conduct::Conduct;
 use crate::pair::rules::rule::Rule;
-use crate::pair::rules::truth::{KNOWN_FRAMES, Truth, gripper_answers};
+use crate::pair::rules::truth::{KNOWN_FRAMES, Truth, gripper_answers, gripper_latency_frames};
 use cell_machine::machine::Machine;
 use cell_machine::supervisor::cell::Supervisor;
 use cell_machine::supervisor::status::{Doing, Status};
@@ -44,9 +44,8 @@ const HELD_UP: f64 = 0.02;
 /// The arm stands in a corner of its path for 200 ms at most.
 const CORNER_FRAMES: u64 = 100;
 
-/// Something held is read at least this often: a reading that is not answered fails after 1 s, then the next
-/// one goes out.
-const WATCH_FRAMES: u64 = 550;
+/// Something held is read at least this often; a lost gripper is noticed first.
+const WATCH_FRAMES: u64 = 500;
 
 /// What was sent has arrived after this long: network and one frame of the program, 100 ms.
 const ON_ITS_WAY_FRAMES: u64 = 50;
@@ -282,7 +281,11 @@ impl Conduct {
             self.breach(Rule::VacuumOffAway, format!("{:.0} mm over its place", over.unwrap_or(0.0) * 1e3));
         }
         self.held_since = if held { self.held_since.or(Some(frame)) } else { None };
+        // The gripper's late answers hold up those behind them, also after the fault.
         if !gripper_answers(simulator) {
+            self.held_up_until = frame + gripper_latency_frames(simulator);
+        }
+        if frame <= self.held_up_until {
             self.last_read = self.last_read.max(frame);
         }
         let since = self.held_since.map_or(frame, |since| since.max(self.last_read));
