@@ -192,6 +192,7 @@ test: setup tidy
 	  [ $$failed = 0 ]; \
 	else \
 	  echo "cargo test"; \
+	  cargo build $(TESTED) --bins; \
 	  cargo test $(TESTED) --lib --bins --examples -- --skip realsense::tests::; \
 	  cargo test $(TESTED) --test it --test tidy -- --skip ::cell_ --skip robot_session:: --skip third_party::; \
 	  cargo test $(TESTED) --lib -- realsense::tests:: --test-threads=1; \

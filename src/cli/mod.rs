@@ -44,6 +44,7 @@ mod values;
 pub mod verify;
 pub mod watch;
 
+use crate::io::camera::realsense::COMMAND;
 use clap::{CommandFactory, Parser, Subcommand};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -111,9 +112,6 @@ enum Command {
     #[cfg(feature = "fleet")]
     #[command(subcommand)]
     Fleet(fleet::FleetCommand),
-    /// Read a RealSense camera for the celld that starts this: requests on standard input
-    #[command(hide = true)]
-    Realsense,
     #[command(flatten)]
     Client(jobs::ClientCommand),
 }
@@ -136,6 +134,9 @@ enum Bench {
 
 /// Parses the process's arguments and runs the subcommand.
 pub fn main() -> ExitCode {
+    if std::env::args_os().nth(1).is_some_and(|word| word == COMMAND) {
+        return ExitCode::from(realsense::run());
+    }
     let cli = Cli::parse();
     // A daemon's log is its only voice.
     let _log = cell_edge::log::start(if matches!(cli.command, Command::Run(_)) { "info" } else { "error" });
@@ -185,7 +186,6 @@ pub fn main() -> ExitCode {
         Command::Bench(Bench::Loop(args)) => bench_loop::run(&args),
         #[cfg(feature = "fleet")]
         Command::Fleet(command) => fleet::run(command, &stop),
-        Command::Realsense => realsense::run(),
         Command::Client(jobs::ClientCommand::Watch(args)) => watch::run(&args, &stop),
         Command::Client(command) => jobs::run(command, &stop),
     })
@@ -248,7 +248,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         shell::pages(Cli::command(), folder.path()).expect("written");
         let page = |name: &str| std::fs::read_to_string(folder.path().join(name)).expect("a page");
-        for known in Cli::command().get_subcommands().filter(|known| !known.is_hide_set()) {
+        for known in Cli::command().get_subcommands() {
             assert!(
                 page(&format!("celld-{}.1", known.get_name())).starts_with(".ie"),
                 "{}",

@@ -3,7 +3,7 @@
 //! cut (`files`) or belong together (`together`), a lock with one holder (`file_lock`), a folder for short
 //! messages between processes (`mailbox`), file handles in reserve (`reserve`), large blocks of memory
 //! (`memory`), whose program calls (`peer`), what a command prints and reads (`terminal`), a log that nobody
-//! waits for (`log`), requests to a program that another one starts (`requests`), work whose panic ends that
+//! waits for (`log`), standard input and output of a helper process (`requests`), work whose panic ends that
 //! work alone (`panics`).
 //!
 //! Everything here touches the machine it runs on; what is computed from it lies elsewhere.

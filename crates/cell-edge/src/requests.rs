@@ -1,9 +1,8 @@
-//! A program that another one starts for its requests: they come on standard input, replies go to standard
-//! output.
+//! Standard input and output of a helper process.
 //!
-//! In: lines of standard input. Out: [`requests`], which ends the process with its input, whatever it waits
-//! for; [`replies`], where nothing but replies is written. What is left behind by a program that has gone
-//! would keep a camera from the next one.
+//! In: lines of standard input. Out: [`requests`], which ends the process soon after its input ends, even if
+//! it hangs; [`replies`], for replies only. A helper that outlives a killed celld would keep the camera
+//! busy.
 
 use rustix::process::{Signal, getpid, kill_process};
 use std::fs::File;
@@ -14,7 +13,7 @@ use std::time::Duration;
 /// Time to answer what was requested before the input ended, and to let a device go.
 const END_LIMIT: Duration = Duration::from_secs(10);
 
-/// Standard output for the replies alone: what a library prints goes to standard error.
+/// Standard output, for replies only: from now on, prints of a library go to standard error.
 ///
 /// # Errors
 /// What the system says; there is no standard output then.
@@ -24,7 +23,7 @@ pub fn replies() -> std::io::Result<BufWriter<File>> {
     Ok(BufWriter::new(own.into()))
 }
 
-/// The lines of standard input. The process ends with them, whatever it waits for.
+/// The lines of standard input. 10 s after their end the process kills itself.
 pub fn requests() -> Receiver<String> {
     let (send, requests) = sync_channel(1);
     std::thread::spawn(move || {
@@ -36,7 +35,7 @@ pub fn requests() -> Receiver<String> {
         }
         drop(send);
         std::thread::sleep(END_LIMIT);
-        // Without what a library does at an orderly end: its driver blocks.
+        // An orderly exit could hang in a library whose driver blocks.
         let _ = kill_process(getpid(), Signal::KILL);
     });
     requests

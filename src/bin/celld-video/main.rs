@@ -24,7 +24,7 @@ fn main() -> ExitCode {
         );
         return ExitCode::from(2);
     }
-    // Whoever starts it may go before other threads, as the robot's loop does; pictures do not.
+    // The daemon may run at a high priority, which this process would inherit.
     cell_edge::priority::lower();
     match replies().and_then(|mut replies| serve(&requests(), &mut replies)) {
         Ok(()) => ExitCode::SUCCESS,

@@ -10,6 +10,7 @@ use cell_vision::camera::CameraModelError;
 use rustix::io::Errno;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
+use std::process::ExitStatus;
 use std::time::Duration;
 
 /// Kinds of faults.
@@ -296,7 +297,7 @@ pub enum CameraError {
         #[source]
         source: Option<Box<dyn std::error::Error + Send + Sync>>,
     },
-    /// What the process says that reads a camera with the RealSense SDK.
+    /// An error that the RealSense process reported.
     #[error("{what}")]
     Reported {
         /// The kind of fault.
@@ -307,9 +308,17 @@ pub enum CameraError {
         #[source]
         source: Option<Box<dyn std::error::Error + Send + Sync>>,
     },
+    /// The RealSense process crashed.
+    #[error("{place}: the RealSense SDK crashed ({how})")]
+    Crashed {
+        /// The camera or recording.
+        place: String,
+        /// Signal or exit status.
+        how: ExitStatus,
+    },
     /// The program that reads it cannot be started.
     #[error(
-        "{place} is read by the program {}, which cannot be started",
+        "cannot start {}, which reads {place}",
         program.display()
     )]
     NoReader {
@@ -324,6 +333,11 @@ pub enum CameraError {
 }
 
 impl CameraError {
+    /// True for a crash of the RealSense SDK.
+    pub fn is_crash(&self) -> bool {
+        matches!(self, CameraError::Crashed { .. })
+    }
+
     /// The kind of fault.
     pub fn kind(&self) -> FaultKind {
         match self {
@@ -343,7 +357,8 @@ impl CameraError {
             | CameraError::Incomplete { .. }
             | CameraError::Picture { .. }
             | CameraError::Time { .. }
-            | CameraError::Video { .. } => FaultKind::Broken,
+            | CameraError::Video { .. }
+            | CameraError::Crashed { .. } => FaultKind::Broken,
             CameraError::NoReader { source, .. } if is_short_of_means(source) => FaultKind::Unplugged,
             CameraError::Unusable { fault, .. } => match fault {
                 PictureFault::Dark { .. } => FaultKind::Dark,

@@ -1,8 +1,7 @@
 //! A program that reads a camera or a file for celld, in a process of its own.
 //!
-//! In: a command, requests. Out: its answers: a line of JSON each, and bytes where an answer announces some.
-//! A library that crashes or hangs ends that process and not the daemon: what does not answer in time is
-//! killed, and how it ended is said.
+//! In: a command, requests. Out: answers, a line of JSON each, and bytes where an answer announces some. A
+//! library that crashes ends that process and not the daemon. A process that hangs is killed.
 
 use crate::io::camera::CameraError;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -60,7 +59,7 @@ impl Process {
     }
 }
 
-/// What reads, for messages and for how long it is waited for.
+/// Names for messages, and time limits.
 #[derive(Clone, Debug)]
 pub(super) struct Role {
     /// The program's name, for messages.
@@ -69,8 +68,8 @@ pub(super) struct Role {
     pub place: PathBuf,
     /// How long an answer may take.
     pub limit: Duration,
-    /// How long it may take to let its camera go once nothing more is requested; then it is killed.
-    pub farewell: Duration,
+    /// How long it may take to close its camera at the end of its input; then it is killed.
+    pub stops_within: Duration,
 }
 
 /// A program that runs; it ends with the value.
@@ -78,7 +77,6 @@ pub(super) struct Role {
 pub(super) struct Helper {
     role: Role,
     process: Process,
-    /// Until nothing more is requested.
     requests: Option<ChildStdin>,
     replies: BufReader<ChildStdout>,
     /// An answer did not come in time.
@@ -88,16 +86,16 @@ pub(super) struct Helper {
 impl Drop for Helper {
     fn drop(&mut self) {
         self.requests = None;
-        if self.late || self.process.ends(self.role.farewell).is_none() {
-            // It may wait for a driver, which would keep the camera from whoever opens it next. One that the
-            // driver does not let go is not waited for.
+        if self.late || self.process.ends(self.role.stops_within).is_none() {
+            // If it hangs in a driver, the camera stays busy. We do not wait for it: the driver may never
+            // return.
             self.process.kill();
             let _ = self.process.ends(END_LIMIT);
         }
     }
 }
 
-/// Why not, on the way through the other process.
+/// A cause that the process reported, as text.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub(super) struct Cause(pub String);
@@ -136,12 +134,14 @@ impl Helper {
         self.role.limit = limit;
     }
 
-    /// What it answers.
+    /// Its answer; `None` if that cannot be read.
     ///
     /// # Errors
-    /// `Silent` without an answer in time: it is of no further use then. `Video` when it has ended,
-    /// `Setting` when it answers in another language.
-    pub fn request<A: DeserializeOwned>(&mut self, request: &impl Serialize) -> Result<A, CameraError> {
+    /// `Silent` without an answer in time: the process is killed then. `Video` when it has ended.
+    pub fn request<A: DeserializeOwned>(
+        &mut self,
+        request: &impl Serialize,
+    ) -> Result<Option<A>, CameraError> {
         let mut line =
             serde_json::to_vec(request).map_err(|error| self.failed("its path is no text", error))?;
         line.push(b'\n');
@@ -156,10 +156,10 @@ impl Helper {
             line.extend_from_slice(&read[..end]);
             self.replies.consume(end);
             if line.len() > LINE_MAX {
-                return Err(self.of_another_version());
+                return Ok(None);
             }
         }
-        serde_json::from_slice(&line).map_err(|_| self.of_another_version())
+        Ok(serde_json::from_slice(&line).ok())
     }
 
     /// So many bytes that its last answer announced.
@@ -206,19 +206,12 @@ impl Helper {
         Ok(self.replies.buffer())
     }
 
-    /// It answers what celld does not know.
-    pub fn of_another_version(&self) -> CameraError {
-        let Role { name, place, .. } = &self.role;
-        let what = format!("{name}, which reads it, is of another version than celld: start celld again");
-        CameraError::Setting { place: place.display().to_string(), what }
-    }
-
     fn ended(&mut self) -> CameraError {
         let how = self
             .process
             .ends(END_LIMIT)
             .map_or_else(|| "its output ended".to_string(), |status| status.to_string());
-        self.failed(&format!("{}, which reads it, ended", self.role.name), Cause(how))
+        self.failed(&format!("{} ended", self.role.name), Cause(how))
     }
 
     /// That it cannot be read, and why.

@@ -27,7 +27,7 @@ impl LateCamera {
     pub fn open(mut open: Open) -> Result<(LateCamera, Option<CameraError>), CameraError> {
         let (camera, away) = match open() {
             Ok(camera) => (Some(camera), None),
-            Err(error) if error.kind() == FaultKind::Unplugged => (None, Some(error)),
+            Err(error) if error.kind() == FaultKind::Unplugged || error.is_crash() => (None, Some(error)),
             Err(error) => return Err(error),
         };
         Ok((LateCamera { open, camera, wants_depth: true }, away))

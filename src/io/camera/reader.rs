@@ -43,12 +43,11 @@ impl Reader {
 
     fn start(command: Command, source: &Source, limit: Duration) -> Result<Reader, CameraError> {
         let (Source::Video { path } | Source::Device { path, .. }) = source;
-        // The kernel ends a stream with the process that has it: there is nothing to wait for.
-        let role = Role { name: PROGRAM, place: path.clone(), limit, farewell: Duration::ZERO };
+        // The kernel ends the stream of a process that is killed.
+        let role = Role { name: PROGRAM, place: path.clone(), limit, stops_within: Duration::ZERO };
         let mut reader = Reader { path: path.clone(), helper: Helper::start(command, role)? };
         match reader.helper.request(source)? {
-            Reply::Open { wire: WIRE } => Ok(reader),
-            Reply::Open { .. } => Err(reader.helper.of_another_version()),
+            Some(Reply::Open { wire: WIRE }) => Ok(reader),
             other => Err(reader.unexpected(other)),
         }
     }
@@ -65,8 +64,8 @@ impl Reader {
     /// `Video` for what cannot be read, `Silent` without an answer in time: it is of no further use then.
     pub fn grab(&mut self) -> Result<Option<f64>, CameraError> {
         match self.helper.request(&Request::Grab)? {
-            Reply::Grabbed { time_ms } => Ok(Some(time_ms)),
-            Reply::End => Ok(None),
+            Some(Reply::Grabbed { time_ms }) => Ok(Some(time_ms)),
+            Some(Reply::End) => Ok(None),
             other => Err(self.unexpected(other)),
         }
     }
@@ -77,7 +76,7 @@ impl Reader {
     /// As [`Reader::grab`].
     pub fn picture(&mut self) -> Result<Image, CameraError> {
         let (width, height) = match self.helper.request(&Request::Picture)? {
-            Reply::Picture { width, height } => (width, height),
+            Some(Reply::Picture { width, height }) => (width, height),
             other => return Err(self.unexpected(other)),
         };
         let rgb =
@@ -86,18 +85,19 @@ impl Reader {
             .map_err(|error| self.helper.failed("what is read of it is no picture", error))
     }
 
-    fn unexpected(&self, reply: Reply) -> CameraError {
+    fn unexpected(&self, reply: Option<Reply>) -> CameraError {
         match reply {
-            Reply::Failed { what, setting: true, .. } => {
+            Some(Reply::Failed { what, setting: true, .. }) => {
                 CameraError::Setting { place: self.path.display().to_string(), what }
             }
-            Reply::Failed { what, setting: false, cause } => CameraError::Video {
+            Some(Reply::Failed { what, setting: false, cause }) => CameraError::Video {
                 path: self.path.clone(),
                 what,
                 source: cause.map(|cause| Cause(cause).into()),
             },
-            Reply::Open { .. } | Reply::End | Reply::Grabbed { .. } | Reply::Picture { .. } => {
-                self.helper.of_another_version()
+            Some(Reply::Open { .. } | Reply::End | Reply::Grabbed { .. } | Reply::Picture { .. }) | None => {
+                let what = "celld-video, which reads it, is of another version than celld: restart celld";
+                CameraError::Setting { place: self.path.display().to_string(), what: what.into() }
             }
         }
     }
@@ -171,7 +171,7 @@ mod tests {
         ] {
             let error = error_of(script);
             assert!(matches!(error, CameraError::Setting { .. }), "{script}: {error}");
-            assert!(error.to_string().contains("start celld again"), "{script}: {error}");
+            assert!(error.to_string().contains("restart celld"), "{script}: {error}");
         }
     }
 

@@ -15,6 +15,7 @@ const WAIT: Duration = Duration::from_millis(200);
 /// Colour pictures passed over before the one that counts: one that was waiting, one whose exposure had
 /// begun.
 const BEFORE_ASKED: u32 = 2;
+
 /// A camera that streams, or a recording that plays.
 pub(super) struct Player {
     settings: RealSenseSettings,
@@ -72,8 +73,7 @@ impl Player {
     /// The next set with everything in it, of one moment, with a new colour picture. The SDK hands out a set
     /// whenever one of its streams has something new; a camera that never has is let through in the end, for
     /// the watch to report.
-    fn whole_set(&mut self) -> Result<Frames, CameraError> {
-        let begun = Instant::now();
+    fn whole_set(&mut self, begun: Instant) -> Result<Frames, CameraError> {
         loop {
             let set = self.next_set()?;
             let heads = heads_of(&set).map_err(self.refused())?;
@@ -109,10 +109,11 @@ impl Player {
             Some(_) => 0,
             None => BEFORE_ASKED + std::mem::take(&mut self.running.warming),
         };
+        let begun = Instant::now();
         for _ in 0..stale {
-            self.whole_set()?;
+            self.whole_set(begun)?;
         }
-        let set = self.whole_set()?;
+        let set = self.whole_set(begun)?;
         let set = match &self.running.align {
             Some(align) => align.apply(set).map_err(self.refused())?,
             None => set,
@@ -124,7 +125,8 @@ impl Player {
     }
 }
 
-/// Restarts the camera that is meant, or the only one that there is to mean; it is gone for some seconds.
+/// Restarts the camera with the serial number of the settings; without one, the only camera connected. It is
+/// gone for some seconds.
 ///
 /// # Errors
 /// `RealSense` with what is missing or refused.
@@ -132,9 +134,11 @@ pub(super) fn restart(settings: &RealSenseSettings) -> Result<(), CameraError> {
     let refused = |source| CameraError::RealSense { place: place_of(settings), source };
     let sdk = Sdk::load(settings.library.as_deref()).map_err(refused)?;
     let context = sdk.context().map_err(refused)?;
-    for device in context.devices().map_err(refused)? {
+    let devices = context.devices().map_err(refused)?;
+    let alone = devices.len() == 1;
+    for device in devices {
         let own = device.info(sdk::INFO_SERIAL).map_err(refused)?;
-        if settings.serial.is_none() || own == settings.serial {
+        if own == settings.serial || settings.serial.is_none() && alone {
             device.reset().map_err(refused)?;
         }
     }

@@ -19,13 +19,13 @@ use std::time::Duration;
 /// What is requested after the task.
 pub(super) const GRAB: &str = "grab";
 
-/// What is to be done.
+/// The first request: the job of this process.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub(super) enum Task {
-    /// Open, then hand out a picture for each request.
+    /// Open, then send a picture for each request.
     Stream {
-        /// What.
+        /// Which camera or recording.
         settings: RealSenseSettings,
         /// How long a set of frames may take.
         limit: Duration,
@@ -37,7 +37,7 @@ pub(super) enum Task {
     },
 }
 
-/// What is answered.
+/// Answers.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub(super) enum Reply {
@@ -82,8 +82,9 @@ pub(super) enum Reply {
 /// # Errors
 /// What the system says of standard input and output.
 pub fn serve() -> std::io::Result<()> {
-    // Whoever starts it may go before other threads, as the robot's loop does; pictures do not.
+    // The daemon may run at a high priority, which this process would inherit.
     cell_edge::priority::lower();
+    cell_edge::memory::keep_large_blocks_apart();
     let mut to = replies()?;
     let requests = requests();
     let Ok(task) = requests.recv() else { return Ok(()) };

@@ -7,6 +7,8 @@
 
 use super::*;
 use crate::io::camera::{Exposure, FaultKind};
+use rearrange::document::chain::chain;
+use rustix::process::Signal;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 

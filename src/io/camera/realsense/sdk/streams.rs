@@ -170,7 +170,9 @@ impl Profile {
             // The profile belongs to the list, which lives until the end of this function.
             list.call(|f, _, e| unsafe { (f.rs2_get_video_stream_intrinsics)(profile.as_ptr(), place, e) })?;
             let [fx, fy, ppx, ppy] = [lens.fx, lens.fy, lens.ppx, lens.ppy];
-            if ![fx, fy, ppx, ppy].iter().chain(&lens.coefficients).all(|number| number.is_finite()) {
+            if stream.kind == STREAM_COLOUR
+                && ![fx, fy, ppx, ppy].iter().chain(&lens.coefficients).all(|number| number.is_finite())
+            {
                 let what = format!("{lens:?}");
                 return Err(SdkError::Nonsense { function: "rs2_get_video_stream_intrinsics", what });
             }
