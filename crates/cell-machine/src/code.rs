@@ -326,7 +326,7 @@ const TABLE: [(Code, Place, &str, &str); 87] = [
         "object_stuck",
         "an object was let go and hangs on the cups, as far as can be seen",
     ),
-    (Code::GripperUnreachable, Place::Result, "gripper_unreachable", "the gripper stopped answering"),
+    (Code::GripperUnreachable, Place::Result, "gripper_unreachable", "gripper not responding"),
     (Code::Infeasible, Place::Result, "infeasible", "it is proved that there is no plan"),
     (
         Code::NoArrangement,

@@ -54,7 +54,7 @@ impl GateClosed {
             GateClosed::Disarmed => "`celld arm` once the cell is clear",
             GateClosed::Locked(_) => "the cell cannot be armed before that",
             GateClosed::Gripper(GripperFault::Silent) => {
-                "see that the Compute Box is on and in the network: `devices.gripper` in the configuration, \
+                "check the Compute Box's power and network: `devices.gripper` in the configuration, \
                  `ping` it"
             }
             GateClosed::Gripper(GripperFault::Taken) => {

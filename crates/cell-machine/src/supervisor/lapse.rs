@@ -87,7 +87,7 @@ impl Supervisor {
             return Some(format!("the {link} link was lost ({})", self.model.addresses.robot));
         }
         if !devices.gripper_answers && self.round.is_none() {
-            let stopped = format!("the gripper stopped answering ({})", self.model.addresses.gripper);
+            let stopped = format!("gripper not responding ({})", self.model.addresses.gripper);
             return Some(with_fault(stopped, devices.gripper_fault));
         }
         let robot = devices.robot.filter(|_| devices.robot_fresh)?;
@@ -120,7 +120,7 @@ impl Supervisor {
             (false, _) => "",
         };
         let back = match devices.link_lost.is_some() || !devices.gripper_answers {
-            true => "see to its power and its network; once it answers and the cell is clear, `celld arm`",
+            true => "check its power and network; once it answers and the cell is clear, `celld arm`",
             false => "see that the cell is clear, then `celld arm`",
         };
         alarm(out, format!("disarmed: {why}{first}; {back}"));

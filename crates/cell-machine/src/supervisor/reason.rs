@@ -42,12 +42,12 @@ impl Code {
     }
 }
 
-/// That the gripper stopped answering, and why, where that is known.
-pub(crate) fn with_fault(stopped: String, fault: GripperFault) -> String {
+/// The message with the gripper's fault, where that is known.
+pub(crate) fn with_fault(message: String, fault: GripperFault) -> String {
     match fault {
-        GripperFault::Silent => stopped,
+        GripperFault::Silent => message,
         GripperFault::Taken | GripperFault::Refused | GripperFault::Unserved | GripperFault::NoVacuum => {
-            format!("{stopped}: {fault}")
+            format!("{message}: {fault}")
         }
     }
 }

@@ -415,7 +415,7 @@ impl Supervisor {
                 lost(self, Code::GripperUnreachable, "the gripper takes no order".to_string(), out);
             }
             GripperEvent::Unreachable { .. } => {
-                lost(self, Code::GripperUnreachable, "the gripper stopped answering".to_string(), out);
+                lost(self, Code::GripperUnreachable, "gripper not responding".to_string(), out);
             }
             GripperEvent::Gripped { .. }
             | GripperEvent::GripFailed { .. }

@@ -467,17 +467,17 @@ impl Supervisor {
     pub(crate) fn on_gripper_silent(&mut self, now: Timestamp, fault: GripperFault, out: &mut Vec<Action>) {
         let Phase::Work(work) = &self.phase else { return };
         let during = match work.stage {
-            WorkStage::Gripping => "while gripping",
-            WorkStage::Releasing | WorkStage::GivingUp => "while letting go of",
+            WorkStage::Gripping => "gripping",
+            WorkStage::Releasing | WorkStage::GivingUp => "releasing",
             WorkStage::NotingIntent(_)
             | WorkStage::Approaching { .. }
             | WorkStage::Carrying { .. }
             | WorkStage::Retreating
-            | WorkStage::Withdrawing => "while holding",
+            | WorkStage::Withdrawing => "holding",
         };
-        let stopped = format!("the gripper stopped answering {during} {}", work.object);
+        let stopped = format!("gripper not responding while {during} {}", work.object);
         let message = with_fault(stopped, fault);
-        let hint = "see that the Compute Box is on and in the network, and keep clear of what may fall; \
+        let hint = "stay clear, the object may fall; check the Compute Box's power and network; \
                     `celld recover` shows what is held and the ways back";
         let reason = Code::GripperUnreachable.because(message, hint).of(&work.object);
         self.stop_all(now, JobStatus::Interrupted, reason, out);
