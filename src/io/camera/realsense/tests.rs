@@ -69,12 +69,18 @@ fn settings(library: &Path, file: &Path) -> RealSenseSettings {
 
 const LIMIT: Duration = Duration::from_secs(20);
 
-#[test]
-fn both_kinds_of_recording_play_to_their_end_with_serial_and_lens() {
+/// Runs `test` with each recording, opened.
+fn with_each_recording(test: impl Fn(&str, RealSenseCamera)) {
     let Some(library) = clients().as_deref().and_then(library_in) else { return };
     for name in ["sample-d405.bag", "sample-d405.db3"] {
         let Some(file) = recording(name) else { return };
-        let mut camera = RealSenseCamera::open(settings(&library, &file), LIMIT, None).unwrap();
+        test(name, RealSenseCamera::open(settings(&library, &file), LIMIT, None).unwrap());
+    }
+}
+
+#[test]
+fn both_kinds_of_recording_play_to_their_end_with_serial_and_lens() {
+    with_each_recording(|name, mut camera| {
         assert_eq!(camera.serial().unwrap(), "000000000405");
         let lens = camera.intrinsics().unwrap();
         assert_eq!((lens.width, lens.height, lens.fx, lens.cx, lens.cy), (640, 480, 650.0, 339.5, 259.5));
@@ -93,15 +99,12 @@ fn both_kinds_of_recording_play_to_their_end_with_serial_and_lens() {
         let ended = camera.grab().unwrap_err();
         assert!(matches!(ended, CameraError::EndOfRecording { frames: 6, .. }), "{ended:?}");
         assert!(!camera.is_live() && !camera.can_reset());
-    }
+    });
 }
 
 #[test]
-fn a_recording_plays_on_where_it_was_when_the_sdk_crashes() {
-    let Some(library) = clients().as_deref().and_then(library_in) else { return };
-    for name in ["sample-d405.bag", "sample-d405.db3"] {
-        let Some(file) = recording(name) else { return };
-        let mut camera = RealSenseCamera::open(settings(&library, &file), LIMIT, None).unwrap();
+fn a_recording_continues_where_it_was_when_the_sdk_crashes() {
+    with_each_recording(|name, mut camera| {
         let first = camera.grab().unwrap().sequence;
         for number in 1..6 {
             camera.process.as_ref().unwrap().signal(Signal::ABORT);
@@ -109,7 +112,7 @@ fn a_recording_plays_on_where_it_was_when_the_sdk_crashes() {
         }
         camera.process.as_ref().unwrap().signal(Signal::ABORT);
         assert!(matches!(camera.grab().unwrap_err(), CameraError::EndOfRecording { frames: 6, .. }));
-    }
+    });
 }
 
 #[test]
