@@ -125,6 +125,18 @@ mod tests {
     }
 
     #[test]
+    fn a_crash_of_the_sdk_does_not_end_the_start() {
+        let crash = || {
+            Err(CameraError::Crashed {
+                place: "D405".into(),
+                how: std::os::unix::process::ExitStatusExt::from_raw(6),
+            })
+        };
+        let (_, why) = LateCamera::open(Box::new(crash)).unwrap();
+        assert_eq!(why.unwrap().to_string(), "D405: the RealSense SDK crashed (signal: 6 (SIGABRT))");
+    }
+
+    #[test]
     fn what_waiting_does_not_mend_is_reported_at_once() {
         let wrong = || {
             let (found, wanted) = ("1".into(), "2".into());
