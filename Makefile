@@ -398,10 +398,10 @@ bench: setup
 	cargo bench
 
 # How soon is a stop on the wire while everything else wants celld's attention? Figures; it fails if a stop
-# is refused, or a stop or an `arm` is not answered.
+# is refused or an order is not answered. With ARGS=--judge it also fails if a time exceeds its limit.
 bench-stops: setup
 	cargo build --release --quiet --bin celld
-	python3 -B tests/load/stop_latency.py --celld $(BUILD)/release/celld
+	python3 -B tests/load/stop_latency.py --celld $(BUILD)/release/celld $(ARGS)
 
 # Hours of cell time, five times as fast as real time where the computer is quick enough.
 HOURS := 8

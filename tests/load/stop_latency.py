@@ -10,6 +10,12 @@ Beside it: clients at nice 10 that give orders as fast as they are answered, a s
 with orders, viewers of the page, a log that nobody reads. The exit code is 1 if a stop was refused, or an
 order not answered. A stop that was answered with nothing on the wire is counted apart: whether the arm stood
 then is not checked. All stops come while the arm sets out.
+
+At the end celld gets SIGTERM, under the same load, while the arm sets out once more. The table has the time
+from the signal to the stop on the wire (the goal is 20 ms) and to the end of celld, which waits at most 6 s
+for arm and gripper and 15 s for the disk. With --judge the exit code is 1 also if a time exceeds its limit,
+and a line names each: a stop p99 20 ms, worst 100 ms; `arm` and `release` p99 100 ms; after SIGTERM 100 ms
+to the stop on the wire, 10 s to the end, and the exit code 0.
 """
 
 import argparse
@@ -61,6 +67,18 @@ F_OFD_GETLK, FLOCK = 36, "hhqqi"
 ANSWER_WITHIN = 30
 MOVES_WITHIN = 5
 STOPS_WITHIN = 0.5
+
+# systemd kills a celld that has not ended so long after SIGTERM (docs/operation.md), s.
+ENDS_WITHIN = 40
+
+# With --judge: the share of the times that has to be within the limit (1: all), and the limit, s.
+LIMITS = {
+    "a stop, from then to the wire": [(0.99, 0.02), (1, 0.1)],
+    "a release, from then to the wire": [(0.99, 0.1)],
+    "arm, to its program or first move": [(0.99, 0.1)],
+    "SIGTERM, to the stop on the wire": [(1, 0.1)],
+    "SIGTERM, to the end of celld": [(1, 10)],
+}
 
 # The first move to a look takes longer than this, s.
 MOVES_FOR = 0.1
@@ -264,21 +282,44 @@ class Times:
     def __init__(self):
         self.renames, self.stops, self.releases = [], [], []
         self.taken, self.wire, self.answer = [], [], []
+        self.signal_to_stop, self.signal_to_end, self.exit_code = [], [], None
         self.stood = self.lost = self.unanswered = 0
         self.rests = collections.Counter()
 
+    def named(self):
+        return {
+            "rename of a stop, by its sender": self.renames,
+            "a stop, from then to the wire": self.stops,
+            "a release, from then to the wire": self.releases,
+            "arm, until celld has its file": self.taken,
+            "arm, to its program or first move": self.wire,
+            "arm, to its answer; before it a stop": self.answer,
+            "SIGTERM, to the stop on the wire": self.signal_to_stop,
+            "SIGTERM, to the end of celld": self.signal_to_end,
+        }
+
     def report(self):
         print(f"{'ms':38} {'count':>6} {'median':>8} {'p99':>8} {'worst':>8}")
-        report("rename of a stop, by its sender", self.renames)
-        report("a stop, from then to the wire", self.stops)
-        report("a release, from then to the wire", self.releases)
-        report("arm, until celld has its file", self.taken)
-        report("arm, to its program or first move", self.wire)
-        report("arm, to its answer; before it a stop", self.answer)
+        for name, times in self.named().items():
+            figures = [share(times, part) for part in (0.5, 0.99, 1)] if times else []
+            print(f"{name:38} {len(times):6}" + "".join(f" {figure:8.1f}" for figure in figures))
         print(f"{'stops answered, none on the wire':38} {self.stood:6}")
         print(f"{'stops refused or not answered':38} {self.lost:6}")
         print(f"{'other orders not answered':38} {self.unanswered:6}")
         print(f"{'arms with no move, by what stopped it':38} {dict(self.rests)}")
+        print(f"{'exit code of celld after SIGTERM':38} {self.exit_code}")
+
+    def exceeded(self):
+        """A line for each limit that is exceeded, or has no time to compare with."""
+        for name, limits in LIMITS.items():
+            times = self.named()[name]
+            for part, limit in limits:
+                if not times or share(times, part) > limit * 1e3:
+                    found = f"{share(times, part):.1f} ms" if times else "not seen"
+                    figure = "worst" if part == 1 else f"p{100 * part:.0f}"
+                    yield f"{name}: {figure} {found}, limit {limit * 1e3:.0f} ms"
+        if self.exit_code != 0:
+            yield f"exit code of celld after SIGTERM: {self.exit_code}, expected 0"
 
 
 def waits_for_arm(cell):
@@ -314,31 +355,68 @@ def measure(args, cell, relay, orders, times):
             hand_in(cell.folder, jobs)
         wait_until_ready_to_arm(cell)
         release(relay, orders, times)
-        (began, after), reply, lock = orders.leave("arm")
-        times.taken.append(orders.taken(lock) - after)
-        first = relay.first_after([PROGRAM, MOVE], began, MOVES_WITHIN)
-        if first:
-            times.wire.append(max(first - after, 0.0))
-        moves = relay.first_after([MOVE], began, MOVES_WITHIN)
-        if moves:
-            time.sleep(random.uniform(0, MOVES_FOR))
+        arm = set_out(relay, orders, times)
+        if arm.moves:
             stop(relay, orders, times)
-        else:
-            # An arm that is armed and does not move is disarmed again.
-            orders.leave("disarm")[2].close()
-        answer = orders.answer(reply)
-        times.answer.append(time.monotonic() - after)
-        times.unanswered += answer is None
-        lock.close()
-        misses = 0 if moves else misses + 1
-        if not moves:
-            refused = answer is not None and not answer["accepted"]
-            stopped = (cell.status()["stopped"] or {}).get("code", "nothing")
-            times.rests[f"refused ({stopped})" if refused else stopped] += 1
+        answer = answer_to_arm(arm, cell, orders, times)
+        misses = 0 if arm.moves else misses + 1
         if misses > MISSES:
             raise busy_computer.Failed(f"the arm rests; `celld arm` was answered {answer}")
         if len(times.renames) % 10 == 0:
             print(f"  {len(times.renames)} of {args.stops}", flush=True)
+
+
+Arm = collections.namedtuple("Arm", "moves after reply lock")
+
+
+def set_out(relay, orders, times):
+    """Orders `arm`; returns a moment after the arm's first move went out, or if none does."""
+    (began, after), reply, lock = orders.leave("arm")
+    times.taken.append(orders.taken(lock) - after)
+    first = relay.first_after([PROGRAM, MOVE], began, MOVES_WITHIN)
+    if first:
+        times.wire.append(max(first - after, 0.0))
+    moves = relay.first_after([MOVE], began, MOVES_WITHIN)
+    if moves:
+        time.sleep(random.uniform(0, MOVES_FOR))
+    return Arm(moves, after, reply, lock)
+
+
+def answer_to_arm(arm, cell, orders, times):
+    if not arm.moves:
+        # An arm that is armed and does not move is disarmed again.
+        orders.leave("disarm")[2].close()
+    answer = orders.answer(arm.reply)
+    times.answer.append(time.monotonic() - arm.after)
+    times.unanswered += answer is None
+    arm.lock.close()
+    if not arm.moves:
+        refused = answer is not None and not answer["accepted"]
+        stopped = (cell.status()["stopped"] or {}).get("code", "nothing")
+        times.rests[f"refused ({stopped})" if refused else stopped] += 1
+    return answer
+
+
+def terminate(cell, relay, orders, times, daemon):
+    """Sends SIGTERM to celld while the arm sets out, for a job that `measure` has left."""
+    for _ in range(MISSES):
+        wait_until_ready_to_arm(cell)
+        arm = set_out(relay, orders, times)
+        if arm.moves:
+            break
+        answer_to_arm(arm, cell, orders, times)
+    else:
+        raise busy_computer.Failed(f"no SIGTERM was sent: the arm rests after {MISSES} orders to arm")
+    sent = time.monotonic()
+    daemon.send_signal(signal.SIGTERM)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        # This looks every 50 ms.
+        times.exit_code = daemon.wait(ENDS_WITHIN)
+        times.signal_to_end.append(time.monotonic() - sent)
+    # The stop is on the wire before the end. Whether celld still answers the `arm` is not judged.
+    if seen := relay.first_after([STOP], sent, STOPS_WITHIN):
+        times.signal_to_stop.append(seen - sent)
+    arm.lock.close()
 
 
 def release(relay, orders, times):
@@ -366,14 +444,8 @@ def stop(relay, orders, times):
 
 
 def share(times, part):
+    """So many ms this share of the times takes at most."""
     return sorted(times)[min(int(len(times) * part), len(times) - 1)] * 1e3
-
-
-def report(name, times):
-    line = f"{len(times):6}"
-    if times:
-        line += f" {share(times, 0.5):8.1f} {share(times, 0.99):8.1f} {max(times) * 1e3:8.1f}"
-    print(f"{name:38} {line}")
 
 
 def main():
@@ -383,6 +455,8 @@ def main():
     parser.add_argument("--clients", type=int, default=200)
     parser.add_argument("--files", type=int, default=1000)
     parser.add_argument("--viewers", type=int, default=100)
+    limits = "stop p99 20 ms, worst 100 ms; arm, release p99 100 ms; SIGTERM: stop 100 ms, end 10 s, code 0"
+    parser.add_argument("--judge", action="store_true", help=f"exit code 1 also beyond a limit: {limits}")
     args = parser.parse_args()
     args.celld = args.celld.resolve()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
@@ -394,7 +468,7 @@ def main():
         stack.enter_context(busy_computer.running(sim, cwd=folder, stdout=subprocess.DEVNULL))
         # The other end of its log stays open, and unread.
         run = [args.celld, "run", "--config", "config/cell.yaml"]
-        stack.enter_context(busy_computer.running(run, cwd=folder, stderr=subprocess.PIPE))
+        daemon = stack.enter_context(busy_computer.running(run, cwd=folder, stderr=subprocess.PIPE))
         cell = busy_computer.Cell(args.celld, folder)
         status = cell.until("celld starts", lambda status: status["state"] == "idle", 120)
         orders = Orders(folder, status["daemon"])
@@ -409,10 +483,14 @@ def main():
         times = Times()
         try:
             measure(args, cell, relay, orders, times)
+            terminate(cell, relay, orders, times, daemon)
         finally:
             # Also of a run that was cut short.
             times.report()
-    sys.exit(int(times.lost + times.unanswered > 0 or not times.stops))
+    exceeded = list(times.exceeded()) if args.judge else []
+    for line in exceeded:
+        print(f"exceeded: {line}")
+    sys.exit(int(times.lost + times.unanswered > 0 or not times.stops or bool(exceeded)))
 
 
 if __name__ == "__main__":
