@@ -97,6 +97,11 @@ impl Place {
         self.0.connections.open().table.signed_in(self.0.id, session, most_now())
     }
 
+    /// The whole request is there.
+    pub fn serves(&self) {
+        self.turns_to(Doing::Serves);
+    }
+
     fn turns_to(&self, doing: Doing) {
         self.0.connections.open().table.turns_to(self.0.id, doing, Instant::now());
     }
@@ -108,7 +113,7 @@ pub struct IsStream;
 
 /// Follows each request of a connection.
 pub async fn followed(State(place): State<Place>, mut request: Request, next: Next) -> Response {
-    place.turns_to(Doing::Serves);
+    place.turns_to(Doing::AwaitsBody);
     request.extensions_mut().insert(place.clone());
     let response = next.run(request).await;
     let is_stream = response.extensions().get::<IsStream>().is_some();

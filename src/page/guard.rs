@@ -160,7 +160,12 @@ pub fn harden(headers: &mut HeaderMap) {
 async fn answered(request: Request, next: Next) -> Response {
     let (parts, body) = request.into_parts();
     match tokio::time::timeout(BODY_WITHIN, axum::body::to_bytes(body, BODY_MAX)).await {
-        Ok(Ok(bytes)) => next.run(Request::from_parts(parts, Body::from(bytes))).await,
+        Ok(Ok(bytes)) => {
+            if let Some(place) = parts.extensions.get::<Place>() {
+                place.serves();
+            }
+            next.run(Request::from_parts(parts, Body::from(bytes))).await
+        }
         Ok(Err(_)) => refusal(StatusCode::PAYLOAD_TOO_LARGE, "the body is too large, or ended early"),
         Err(_) => refusal(StatusCode::REQUEST_TIMEOUT, "the body did not come"),
     }

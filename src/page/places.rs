@@ -1,9 +1,9 @@
 //! Places for connections and streams: which connection is cut for a new one, and what is refused.
 //!
 //! In: connections that arrive and what each one does, by the time. Out: a place, with the connection that
-//! is cut for it, or a refusal. A request of a signed-in session is never cut while it is served, so an
-//! order finds a place however many slow heads and unread answers there are. Streams have places of their
-//! own, fewer than all. Pure.
+//! is cut for it, or a refusal. Who does least with a place loses it first: strangers, then slow bodies and
+//! unread answers, last a request of the session that has most requests at a time. So an order finds a place
+//! whatever other sessions send. Streams have places of their own, fewer than all. Pure.
 
 use std::collections::HashMap;
 use std::net::IpAddr;
@@ -37,6 +37,8 @@ pub fn most_connections(handles: usize) -> usize {
 pub enum Doing {
     /// It waits for the head of a request.
     AwaitsHead,
+    /// The head of a request is there, its body may not be.
+    AwaitsBody,
     /// A request is carried out.
     Serves,
     /// The answer is sent.
@@ -57,15 +59,23 @@ struct Held {
 }
 
 impl Held {
-    /// The lowest is cut first; `None` is not cut.
-    fn rank(&self, now: Instant) -> Option<u8> {
-        match (self.doing, self.session.is_some()) {
-            (Doing::AwaitsHead, false) => Some(0),
-            (Doing::AwaitsHead, true) => Some(1),
-            (Doing::Serves | Doing::Answers, false) => Some(2),
-            (Doing::Answers, true) if now.duration_since(self.since) >= READ_WITHIN => Some(3),
-            (Doing::Serves | Doing::Answers, true) | (Doing::Streams, _) => None,
+    /// The lowest is cut first; `None` is not cut. `busiest`: the session with most requests at a time.
+    fn rank(&self, busiest: Option<&str>, now: Instant) -> Option<u8> {
+        match (self.doing, self.session.as_deref()) {
+            (Doing::AwaitsHead, None) => Some(0),
+            (Doing::AwaitsHead, Some(_)) => Some(1),
+            (Doing::AwaitsBody | Doing::Serves | Doing::Answers, None) => Some(2),
+            (Doing::AwaitsBody, Some(_)) => Some(3),
+            (Doing::Answers, Some(_)) if now.duration_since(self.since) >= READ_WITHIN => Some(4),
+            // A stop counts all the same, another order is taken back.
+            (Doing::Serves | Doing::Answers, session) if session == busiest => Some(5),
+            (Doing::Serves | Doing::Answers, Some(_)) | (Doing::Streams, _) => None,
         }
+    }
+
+    /// It has a request that is not answered yet.
+    fn at_work(&self) -> bool {
+        matches!(self.doing, Doing::AwaitsBody | Doing::Serves | Doing::Answers)
     }
 }
 
@@ -79,7 +89,7 @@ pub enum Arrival {
         /// The one that is cut.
         cut: Option<u64>,
     },
-    /// All places serve requests.
+    /// All places serve requests of sessions that have one each, or streams.
     Refused,
 }
 
@@ -116,8 +126,11 @@ impl Table {
 
     /// Takes the place of the connection that is missed least, of those wanted.
     fn cut(&mut self, now: Instant, wanted: impl Fn(&Held) -> bool) -> Option<u64> {
-        let ranked = self.held.iter().enumerate().filter(|(_, held)| wanted(held));
-        let ranked = ranked.filter_map(|(index, held)| Some((held.rank(now)?, held.since, index)));
+        let wanted: Vec<(usize, &Held)> =
+            self.held.iter().enumerate().filter(|(_, held)| wanted(held)).collect();
+        let busiest = busiest(wanted.iter().map(|(_, held)| *held));
+        let ranked =
+            wanted.iter().filter_map(|(index, held)| Some((held.rank(busiest, now)?, held.since, *index)));
         let (_, _, index) = ranked.min()?;
         Some(self.held.remove(index).id)
     }
@@ -131,7 +144,7 @@ impl Table {
     pub fn turns_to(&mut self, id: u64, doing: Doing, now: Instant) {
         if let Some(held) = self.held.iter_mut().find(|held| held.id == id) {
             (held.doing, held.since) = (doing, now);
-            if doing == Doing::Serves {
+            if doing == Doing::AwaitsBody {
                 held.session = None;
             }
         }
@@ -142,9 +155,8 @@ impl Table {
         if let Some(held) = self.held.iter_mut().find(|held| held.id == id) {
             held.session = Some(session.to_string());
         }
-        let at_work = |held: &&Held| matches!(held.doing, Doing::Serves | Doing::Answers);
-        let of_session = |held: &&Held| held.session.as_deref() == Some(session);
-        let served = self.held.iter().filter(at_work).filter(of_session).count();
+        let of_session = |held: &&Held| held.at_work() && held.session.as_deref() == Some(session);
+        let served = self.held.iter().filter(of_session).count();
         served <= (most * OF_SESSION_PERCENT / 100).max(1)
     }
 
@@ -152,6 +164,16 @@ impl Table {
     pub fn leave(&mut self, id: u64) {
         self.held.retain(|held| held.id != id);
     }
+}
+
+/// The session with most requests that are not answered yet, if it has more than one.
+fn busiest<'a>(held: impl Iterator<Item = &'a Held>) -> Option<&'a str> {
+    let mut requests = HashMap::new();
+    for session in held.filter(|held| held.at_work()).filter_map(|held| held.session.as_deref()) {
+        *requests.entry(session).or_insert(0) += 1;
+    }
+    let several = requests.into_iter().filter(|(_, count)| *count > 1);
+    several.max_by_key(|(session, count)| (*count, *session)).map(|(session, _)| session)
 }
 
 /// Places for one kind of stream.
@@ -220,12 +242,20 @@ mod tests {
         table
     }
 
-    fn cut(table: &mut Table, now: Instant) -> Option<u64> {
-        match table.arrive(computer(200), MOST, now) {
+    /// This connection has a request of this session, and is so far with it.
+    fn works(table: &mut Table, id: u64, session: Option<&str>, doing: Doing, now: Instant) {
+        table.turns_to(id, Doing::AwaitsBody, now);
+        if let Some(session) = session {
+            table.signed_in(id, session, MOST);
+        }
+        table.turns_to(id, doing, now);
+    }
+
+    /// Which connection is cut for a new one, which then serves a session of its own.
+    fn cut(table: &mut Table, last: u8, now: Instant) -> Option<u64> {
+        match table.arrive(computer(last), MOST, now) {
             Arrival::Taken { id, cut } => {
-                // The new one serves a session: it is not the next one that is cut.
-                table.turns_to(id, Doing::Serves, now);
-                table.signed_in(id, &format!("new {id}"), MOST);
+                works(table, id, Some(&format!("new {id}")), Doing::Serves, now);
                 cut
             }
             Arrival::Refused => None,
@@ -233,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn strangers_are_cut_before_idle_sessions_and_served_sessions_never() {
+    fn strangers_are_cut_before_idle_sessions_and_a_session_with_one_request_never() {
         let start = Instant::now();
         let mut table = full(start);
         for (id, doing, session) in [
@@ -243,29 +273,30 @@ mod tests {
             (4, Doing::Answers, None),
             (5, Doing::Serves, None),
             (6, Doing::Answers, Some("ben")),
+            (7, Doing::AwaitsBody, Some("eve")),
         ] {
-            let at = start + Duration::from_millis(100 + id);
-            table.turns_to(id, Doing::Serves, at);
-            if let Some(session) = session {
-                assert!(table.signed_in(id, session, MOST));
-            }
-            table.turns_to(id, doing, at);
-            if let (Doing::Serves, Some(session)) = (doing, session) {
-                table.signed_in(id, session, MOST);
-            }
+            works(&mut table, id, session, doing, start + Duration::from_millis(100 + id));
         }
         let soon = start + Duration::from_secs(1);
-        // Computer 200 has its own limit of 6: the seventh has to come from elsewhere.
-        let order: Vec<_> = (0..6).map(|_| cut(&mut table, soon)).collect();
-        assert_eq!(order, [7, 8, 9, 10, 3, 4].map(Some));
-        let from_elsewhere = table.arrive(computer(201), MOST, soon);
-        assert!(matches!(from_elsewhere, Arrival::Taken { cut: Some(5), .. }), "{from_elsewhere:?}");
-        let Arrival::Taken { id, .. } = from_elsewhere else { unreachable!() };
-        table.turns_to(id, Doing::Streams, soon);
-        assert_eq!(table.arrive(computer(202), MOST, soon), Arrival::Refused, "an answer on its way stays");
-        let later = soon + READ_WITHIN;
-        let unread = table.arrive(computer(202), MOST, later);
-        assert!(matches!(unread, Arrival::Taken { cut: Some(6), .. }), "{unread:?}");
+        // Each computer has its own limit.
+        let order: Vec<_> = (0..7).map(|last| cut(&mut table, 200 + last, soon)).collect();
+        assert_eq!(order, [8, 9, 10, 3, 4, 5, 7].map(Some));
+        assert_eq!(cut(&mut table, 208, soon), None, "an answer on its way stays");
+        assert_eq!(cut(&mut table, 208, start + Duration::from_millis(106) + READ_WITHIN), Some(6));
+    }
+
+    #[test]
+    fn a_session_with_many_requests_gives_its_oldest_up_for_another_session() {
+        let start = Instant::now();
+        let mut table = full(start);
+        for id in 1..=MOST as u64 {
+            let session = if id % 3 == 0 { "anna" } else { "eve" };
+            works(&mut table, id, Some(session), Doing::Serves, start + Duration::from_millis(100 - id));
+        }
+        let order: Vec<_> = (0..4).map(|last| cut(&mut table, 200 + last, start + READ_WITHIN)).collect();
+        assert_eq!(order, [10, 8, 7, 5].map(Some), "of eve, who has most, until she has as many as anna");
+        let left: Vec<_> = (0..5).map(|last| cut(&mut table, 210 + last, start + READ_WITHIN)).collect();
+        assert_eq!(left, [Some(4), Some(9), Some(2), Some(6), None], "each keeps one");
     }
 
     #[test]
@@ -294,10 +325,10 @@ mod tests {
         let now = Instant::now();
         let mut table = full(now);
         for id in 1..=3 {
-            table.turns_to(id, Doing::Serves, now);
+            table.turns_to(id, Doing::AwaitsBody, now);
             assert_eq!(table.signed_in(id, "anna", MOST), id <= 2, "{id}");
         }
-        table.turns_to(4, Doing::Serves, now);
+        table.turns_to(4, Doing::AwaitsBody, now);
         assert!(table.signed_in(4, "ben", MOST));
     }
 

@@ -298,8 +298,8 @@ mod tests {
     }
 
     #[test]
-    fn an_order_is_answered_among_slow_heads_and_unread_answers() {
-        const STRANGERS: usize = 220;
+    fn an_order_is_answered_among_slow_heads_slow_bodies_and_unread_answers() {
+        const OTHERS: usize = 220;
         /// More than both ends buffer.
         static BYTES: [u8; 1 << 20] = [b'x'; 1 << 20];
         const LARGE: &[u8] = &BYTES;
@@ -313,11 +313,17 @@ mod tests {
         };
         let held = move |place: Extension<Place>| async move {
             place.signed_in("ben");
+            place.serves();
             let _ = begun.send(());
             hold.notified().await;
             "held"
         };
+        let viewer = |place: Extension<Place>, body: axum::body::Body| async move {
+            place.signed_in("eve");
+            let _ = axum::body::to_bytes(body, 10).await;
+        };
         let routes = Router::new()
+            .route("/viewer", axum::routing::post(viewer))
             .route("/order", axum::routing::get(order))
             .route("/held", axum::routing::get(held))
             .route("/large", axum::routing::get(|| async { LARGE }));
@@ -329,12 +335,13 @@ mod tests {
         let in_work = from(0, address, &request("/held"));
         has_begun.recv_timeout(Duration::from_secs(60)).expect("it is served");
 
-        for stranger in [b"GET / HTTP/1.1\r\nhost: ".to_vec(), request("/large")] {
-            let strangers: Vec<_> = (1..=STRANGERS).map(|last| from(last, address, &stranger)).collect();
+        let half_sent = b"POST /viewer HTTP/1.1\r\nhost: a\r\ncontent-length: 10\r\n\r\n".to_vec();
+        for sent in [b"GET / HTTP/1.1\r\nhost: ".to_vec(), request("/large"), half_sent] {
+            let others: Vec<_> = (1..=OTHERS).map(|last| from(last, address, &sent)).collect();
             // Accepted after all of them.
-            let answer = answer(from(STRANGERS + 1, address, &request("/order")));
+            let answer = answer(from(OTHERS + 1, address, &request("/order")));
             assert!(answer.starts_with("HTTP/1.1 200") && answer.ends_with("ordered"), "{answer}");
-            drop(strangers);
+            drop(others);
         }
         release.notify_one();
         assert!(answer(in_work).ends_with("held"), "a request of a session is not cut");
