@@ -8,6 +8,9 @@
 
 use cell_machine::intake::HELD_UP_AFTER;
 use sd_notify::NotifyState;
+use std::io;
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -267,9 +270,21 @@ impl Outcome {
 /// Without a service manager there is no socket, and nothing is sent; one that is not there any more is no
 /// reason to end.
 fn send(state: NotifyState) {
-    if let Err(error) = sd_notify::notify(&[state]) {
+    let socket = std::env::var_os("NOTIFY_SOCKET").unwrap_or_default();
+    // The library knows sockets with a path alone.
+    let sent = match socket.as_encoded_bytes().strip_prefix(b"@") {
+        Some(name) => send_to_abstract(name, &state.to_string()),
+        None => sd_notify::notify(&[state]),
+    };
+    if let Err(error) = sent {
         tracing::debug!(%error, "the service manager was not reached");
     }
+}
+
+/// To a socket whose name stands in no folder (`unix(7)`).
+fn send_to_abstract(name: &[u8], message: &str) -> io::Result<()> {
+    let address = SocketAddr::from_abstract_name(name)?;
+    UnixDatagram::unbound()?.send_to_addr(message.as_bytes(), &address).map(|_| ())
 }
 
 /// What came of the last look.

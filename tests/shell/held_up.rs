@@ -1,9 +1,18 @@
-//! A process that is stopped, a log that nobody takes, signals that end.
+//! A process that is stopped, a log and a service manager that take nothing, signals that end.
 
-use super::Cell;
-use crate::cell::{CELLD, LOG, PATIENCE, Running, wait_until};
-use std::process::{Command, Stdio};
-use std::time::Instant;
+use super::{Cell, request, terminate, thread_files};
+use crate::cell::{CELLD, LOG, Running, wait_until};
+use std::io::Write;
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
+use std::process::{ChildStdin, Command, Stdio};
+use std::time::Duration;
+
+/// Ctrl-S (XOFF) suspends the output of a terminal.
+const CTRL_S: &[u8] = b"\x13";
+
+/// Requests to the page that leave more lines of trace than the log's queue takes (4096): two each.
+const REQUESTS: usize = 3000;
 
 /// The daemon is stopped in the middle of a carry: disarmed afterwards, still there, and says so.
 #[test]
@@ -13,9 +22,12 @@ fn cell_that_was_held_up_is_disarmed_stays_and_says_so() {
     cell.signal("STOP");
     // Long enough for every deadline of the robot; the arm stops by its program's own watchdog.
     wait_until("the arm rests", || cell.rests());
-    std::thread::sleep(std::time::Duration::from_secs(16));
+    std::thread::sleep(Duration::from_secs(16));
     cell.signal("CONT");
-    wait_until("it says so", || cell.log().contains("celld was held up for"));
+    let words = "celld was held up for ";
+    wait_until("it says so", || cell.log().contains(words));
+    let seconds = cell.log().split(words).nth(1).and_then(|rest| rest.split(' ').next()?.parse().ok());
+    assert!(seconds.is_some_and(|seconds: f64| seconds >= 16.0), "{seconds:?} s");
     wait_until("the status says so", || !cell.armed());
     assert!(cell.daemon().try_wait().expect("a child").is_none(), "it stays: {}", cell.log());
     assert!(!cell.log().contains("check the disk"), "{}", cell.log());
@@ -29,9 +41,7 @@ fn is_real_time(stat: &str) -> bool {
 
 /// So many threads of this process have real-time scheduling.
 fn real_time_threads(process: u32) -> usize {
-    let tasks = std::fs::read_dir(format!("/proc/{process}/task")).expect("it runs").flatten();
-    let stats = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("stat")).ok());
-    stats.filter(|stat| is_real_time(stat)).count()
+    thread_files(process, "stat").iter().filter(|stat| is_real_time(stat)).count()
 }
 
 /// The system gives this user's threads real-time scheduling.
@@ -63,30 +73,107 @@ fn cell_uses_mimalloc() {
     assert!(said.starts_with("mimalloc: "), "{said}");
 }
 
-/// Standard error is a pipe that nobody reads: an abort is taken, and SIGTERM ends the daemon.
-#[test]
-fn cell_with_a_blocked_log_takes_an_abort_and_ends() {
-    let mut cell = Cell::without_daemon("127.7.9.5");
-    let process = Command::new(CELLD)
-        .args(["run", "--config"])
-        .arg(&cell.config)
-        .env("CELLD_LOG", "trace")
-        .current_dir(cell.path())
-        .stderr(Stdio::piped())
-        .spawn();
-    cell.daemon = Some(Running(process.expect("the binary runs")));
-    wait_until("the daemon takes orders", || cell.celld(&["disarm"]).0 == Some(0));
+/// The socket of a service manager that reads nothing, with a full queue.
+struct FullSocket(UnixDatagram);
+
+impl FullSocket {
+    const FILLED_WITH: &[u8] = b"full";
+
+    fn at(address: &SocketAddr) -> FullSocket {
+        let socket = UnixDatagram::bind_addr(address).expect("a socket");
+        // A sender of its own for each message: only the receiver's queue can be full.
+        let takes_one = || {
+            let sender = UnixDatagram::unbound().expect("a socket");
+            sender.set_nonblocking(true).expect("set");
+            sender.send_to_addr(FullSocket::FILLED_WITH, address).is_ok()
+        };
+        while takes_one() {}
+        FullSocket(socket)
+    }
+
+    /// It was full all the time.
+    fn got_nothing(&self) {
+        self.0.set_nonblocking(true).expect("set");
+        let mut message = [0; 4096];
+        while let Ok(size) = self.0.recv(&mut message) {
+            let message = &message[..size];
+            assert_eq!(message, FullSocket::FILLED_WITH, "{}", String::from_utf8_lossy(message));
+        }
+    }
+}
+
+/// The arm carries something and rests after an abort, which is answered.
+fn carries_and_is_aborted(cell: &Cell) {
     cell.carry();
     let (code, said) = cell.celld(&["abort"]);
     assert!(said.contains("disarmed"), "{code:?}: {said}");
     assert!(cell.rests());
-    cell.signal("TERM");
-    let since = Instant::now();
-    while cell.daemon().try_wait().expect("a child").is_none() {
-        assert!(since.elapsed() < PATIENCE, "it does not end");
-        std::thread::yield_now();
-    }
+}
+
+/// Standard error is a pipe that nobody reads, and the service manager has an abstract socket with a full
+/// queue: an abort is taken, and SIGTERM ends the daemon.
+#[test]
+fn cell_with_a_blocked_log_takes_an_abort_and_ends() {
+    let mut cell = Cell::without_daemon("127.7.9.5");
+    let name = format!("celld-{}-{}", cell.address, std::process::id());
+    let manager = FullSocket::at(&SocketAddr::from_abstract_name(&name).expect("a name"));
+    let process = cell
+        .run()
+        .env("CELLD_LOG", "trace")
+        .env("NOTIFY_SOCKET", format!("@{name}"))
+        .stderr(Stdio::piped())
+        .spawn();
+    cell.daemon = Some(Running(process.expect("the binary runs")));
+    cell.takes_orders();
+    carries_and_is_aborted(&cell);
+    cell.end();
     assert!(cell.holds(), "the end leaves the vacuum as it is");
+    manager.got_nothing();
+}
+
+/// `script` runs the daemon on a terminal of its own, and copies what the terminal shows into the log file;
+/// what is written to the result is typed.
+fn start_on_a_terminal(cell: &mut Cell, manager: &SocketAddr) -> ChildStdin {
+    let command = format!("exec '{CELLD}' run --config '{}'", cell.config.display());
+    let script = Command::new("script")
+        .args(["--quiet", "--flush", "--command", &command, LOG])
+        .envs([("SHELL", "/bin/sh"), ("CELLD_LOG", "trace")])
+        .env("NOTIFY_SOCKET", manager.as_pathname().expect("a path"))
+        .current_dir(cell.path())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .spawn();
+    let mut script = script.expect("`script` of util-linux");
+    let keys = script.stdin.take().expect("piped");
+    cell.daemon = Some(Running(script));
+    cell.takes_orders();
+    keys
+}
+
+/// Standard output and error are a terminal on which Ctrl-S was pressed, more lines wait than the log's
+/// queue takes, and the queue of the service manager's socket is full: an abort is taken, and SIGTERM ends
+/// the daemon.
+#[test]
+fn cell_on_a_suspended_terminal_takes_an_abort_and_ends() {
+    let mut cell = Cell::without_daemon("127.7.9.20");
+    let address = SocketAddr::from_pathname(cell.path().join("notify")).expect("a short path");
+    let manager = FullSocket::at(&address);
+    let mut keys = start_on_a_terminal(&mut cell, &address);
+    let process = cell.status()["pid"].as_u64().and_then(|id| u32::try_from(id).ok()).expect("its number");
+    let shown = || std::fs::metadata(cell.path().join(LOG)).map_or(0, |log| log.len());
+    keys.write_all(CTRL_S).expect("pressed");
+    wait_until("the terminal shows nothing new", || {
+        let before = shown();
+        std::thread::sleep(Duration::from_millis(300));
+        shown() == before
+    });
+    let before = shown();
+    (0..REQUESTS).for_each(|_| _ = request(cell.address, 8737, "/livez", ""));
+    carries_and_is_aborted(&cell);
+    assert_eq!(shown(), before, "the output is suspended");
+    terminate(process);
+    assert!(cell.holds(), "the end leaves the vacuum as it is");
+    manager.got_nothing();
 }
 
 /// A terminal that is closed ends the daemon as SIGTERM does: the arm stops, the status is no longer armed.

@@ -10,6 +10,8 @@ use std::fmt::{self, Write as _};
 use std::io::{self, IsTerminal, Write};
 use std::os::unix::net::UnixDatagram;
 use std::sync::OnceLock;
+use std::sync::mpsc::channel;
+use std::time::Duration;
 use tracing::field::{Field, Visit};
 use tracing::{Event, Level, Subscriber};
 use tracing_appender::non_blocking::{ErrorCounter, NonBlocking, NonBlockingBuilder, WorkerGuard};
@@ -30,8 +32,27 @@ const ENTRY_MAX: usize = 64 * 1024;
 
 static LOST: OnceLock<ErrorCounter> = OnceLock::new();
 
-/// Keeps the log's thread alive; dropping it writes the remaining lines, within about a second.
-pub struct LogGuard(#[expect(dead_code, reason = "held until it is dropped")] WorkerGuard);
+/// How long the end waits for the remaining lines.
+const WRITTEN_WITHIN: Duration = Duration::from_millis(1500);
+
+/// Keeps the log's thread alive; dropping it writes the remaining lines, within 1.5 s.
+pub struct LogGuard(Option<WorkerGuard>);
+
+impl Drop for LogGuard {
+    /// The library's guard prints to standard output if its queue is full: a held terminal takes nothing.
+    fn drop(&mut self) {
+        let guard = self.0.take();
+        let (over, is_over) = channel();
+        let thread = std::thread::Builder::new().name("log-end".to_string());
+        let spawned = thread.spawn(move || {
+            drop(guard);
+            let _ = over.send(());
+        });
+        if spawned.is_ok() {
+            let _ = is_over.recv_timeout(WRITTEN_WITHIN);
+        }
+    }
+}
 
 /// Lines that were lost so far because nothing took them.
 pub fn lost_lines() -> usize {
@@ -68,7 +89,7 @@ pub fn start(usual: &str) -> LogGuard {
     if let Some(error) = fault {
         complain(&format!("CELLD_LOG cannot be read ({error}); logging {usual}"));
     }
-    LogGuard(guard)
+    LogGuard(Some(guard))
 }
 
 /// A panic is a line of the log too: what the standard library prints would wait for standard error.
