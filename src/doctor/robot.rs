@@ -5,6 +5,7 @@
 
 use crate::doctor::{Area, Line};
 use cell_machine::device::robot_types::{InputsTaken, Link, RobotState};
+use cell_machine::device::software::{missing, too_old, version_of};
 use cell_machine::stillness::{STILL_RAD, Sway};
 use cell_machine::supervisor::safety_words::{mode_words, safety_hint, safety_words};
 use cell_values::time::Duration;
@@ -216,6 +217,7 @@ impl RobotFacts {
             or_unknown(&dashboard.version)
         );
         let mut lines = vec![ok("identity", identity)];
+        lines.extend(dashboard.version.as_deref().and_then(software_line));
         lines.push(match dashboard.remote_control {
             Some(true) => ok("remote control", "on"),
             Some(false) => problem(
@@ -341,6 +343,21 @@ fn safety_line(mode: SafetyMode) -> Line {
         return ok("safety", format!("mode {mode}"));
     }
     problem("safety", safety_words(mode), safety_hint(mode))
+}
+
+/// What the controller's software lacks of what celld uses.
+fn software_line(text: &str) -> Option<Line> {
+    let version @ [major, minor] = version_of(text)?;
+    if let Some(fault) = too_old(version) {
+        return Some(problem("software", fault, "update the controller's software"));
+    }
+    let lacks: Vec<String> = missing(version)
+        .map(|feature| format!("{} (from {}.{})", feature.name, feature.since[0], feature.since[1]))
+        .collect();
+    (!lacks.is_empty()).then(|| {
+        let found = format!("{major}.{minor} lacks {}", lacks.join(", "));
+        note("software", found, "celld works without it; an update of the controller brings it")
+    })
 }
 
 fn arm_line(mode: RobotMode) -> Line {

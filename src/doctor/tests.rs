@@ -132,7 +132,11 @@ fn each_fault_of_the_controller_has_one_line() {
     fn rtde(facts: &mut RobotFacts) -> &mut RtdeFacts {
         facts.rtde.as_mut().expect("an RTDE link")
     }
-    let cases: [Case<RobotFacts>; 17] = [
+    let cases: [Case<RobotFacts>; 19] = [
+        (Problem, "software", "celld needs 5.6", |f| dashboard(f).version = Some("URSoftware 5.5.1".into())),
+        (Note, "software", "`set_target_payload`", |f| {
+            dashboard(f).version = Some("URSoftware 5.9.4".into());
+        }),
         (Problem, "dashboard", "Dashboard Server", |f| f.dashboard = Err(LinkFault::Refused)),
         (Problem, "dashboard", "`celld sim`", |f| {
             (f.dashboard, f.simulated) = (Err(LinkFault::Refused), true);

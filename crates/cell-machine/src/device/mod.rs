@@ -19,7 +19,7 @@ pub mod rtde_recipes;
 pub mod rtde_jump;
 pub mod rtde_session;
 
-mod software;
+pub mod software;
 
 pub mod dashboard_session;
 

@@ -1,14 +1,33 @@
-//! The controller's software: which version celld needs, and for what.
+//! The controller's software: which version has what celld uses.
 //!
 //! In: major and minor version, or the dashboard's text with it. Out: why it is too old, in words; what it
 //! can. Pure. Source: the vendor's dashboard server manual and script manual, which give the version with
 //! each command.
 
-/// The first version with both of the dashboard's commands that celld cannot do without.
-const NEEDED: [u32; 2] = [5, 6];
+/// Something that celld uses, and the first version that has it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Feature {
+    /// Major and minor version.
+    pub since: [u32; 2],
+    /// What it is called in the vendor's manuals.
+    pub name: &'static str,
+    /// celld does not work without it.
+    pub needed: bool,
+}
 
-/// The first version whose programs may call `set_target_payload` with a transition time.
-const GRADUAL_PAYLOAD: [u32; 2] = [5, 10];
+/// Programs may change the payload over a time.
+const GRADUAL_PAYLOAD: Feature = Feature {
+    since: [5, 10],
+    name: "a payload that changes over 0.1 s (`set_target_payload`)",
+    needed: false,
+};
+
+/// Everything that not every e-Series controller has.
+pub const FEATURES: &[Feature] = &[
+    Feature { since: [5, 6], name: "`is in remote control`", needed: true },
+    Feature { since: [5, 6], name: "`get serial number`", needed: true },
+    GRADUAL_PAYLOAD,
+];
 
 /// Major and minor version in what the dashboard says, as in "URSoftware 5.12.0.1101319".
 pub fn version_of(text: &str) -> Option<[u32; 2]> {
@@ -24,18 +43,23 @@ pub fn version_of(text: &str) -> Option<[u32; 2]> {
 
 /// True where a payload can be changed gradually.
 pub fn changes_payload_gradually(version: [u32; 2]) -> bool {
-    version >= GRADUAL_PAYLOAD
+    version >= GRADUAL_PAYLOAD.since
+}
+
+/// What this software does not have.
+pub fn missing(version: [u32; 2]) -> impl Iterator<Item = &'static Feature> {
+    FEATURES.iter().filter(move |feature| version < feature.since)
 }
 
 /// Why celld does not work with this software; `None` if it does.
 pub fn too_old([major, minor]: [u32; 2]) -> Option<String> {
-    let [needs, least] = NEEDED;
-    ([major, minor] < NEEDED).then(|| {
-        format!(
-            "controller software {major}.{minor} is too old: celld needs {needs}.{least} or later \
-             (`is in remote control`, `get serial number`)"
-        )
-    })
+    let needed: Vec<&Feature> = missing([major, minor]).filter(|feature| feature.needed).collect();
+    let [needs, least] = needed.iter().map(|feature| feature.since).max()?;
+    let names: Vec<&str> = needed.iter().map(|feature| feature.name).collect();
+    Some(format!(
+        "controller software {major}.{minor} is too old: celld needs {needs}.{least} or later ({})",
+        names.join(", ")
+    ))
 }
 
 #[cfg(test)]
@@ -46,8 +70,17 @@ mod tests {
     fn software_before_5_6_is_refused_with_the_missing_commands() {
         for version in [[3, 15], [5, 0], [5, 5]] {
             let said = too_old(version).unwrap();
-            assert!(said.contains("celld needs 5.6 or later (`is in remote control`"), "{said}");
+            let words = "celld needs 5.6 or later (`is in remote control`, `get serial number`)";
+            assert!(said.ends_with(words), "{said}");
         }
         assert!([[5, 6], [5, 26], [10, 12]].into_iter().all(|version| too_old(version).is_none()));
+    }
+
+    #[test]
+    fn what_older_software_lacks_is_named() {
+        let names = |version| missing(version).map(|feature| feature.name).collect::<Vec<_>>();
+        assert_eq!(names([5, 5]).len(), 3);
+        assert_eq!(names([5, 9]), ["a payload that changes over 0.1 s (`set_target_payload`)"]);
+        assert!(names([5, 10]).is_empty());
     }
 }

@@ -67,6 +67,8 @@ pub struct Fake {
     pub deaf_program: bool,
     pub segment_frames: u32,
     pub wrong_payload: bool,
+    /// Major and minor version of its software, as RTDE says it.
+    pub software: [u32; 2],
 }
 
 impl Fake {
@@ -117,6 +119,7 @@ impl Fake {
             deaf_program: false,
             segment_frames: 50,
             wrong_payload: false,
+            software: [5, 20],
         }
     }
 
@@ -199,7 +202,8 @@ impl Fake {
                 return self.send(Link::Rtde, reply);
             }
             Request::ControllerVersion => {
-                Reply::ControllerVersion(ControllerVersion { major: 5, minor: 20, bugfix: 0, build: 1 })
+                let [major, minor] = self.software;
+                Reply::ControllerVersion(ControllerVersion { major, minor, bugfix: 0, build: 1 })
             }
             Request::Text(_) => return,
             Request::SetupOutputs { names, .. } => {

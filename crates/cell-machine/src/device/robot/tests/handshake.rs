@@ -169,6 +169,18 @@ fn silence_on_a_standing_link_ends_it() {
 }
 
 #[test]
+fn a_controller_with_old_software_is_refused_by_the_names_of_what_it_lacks() {
+    let mut rig = Rig::new();
+    rig.fake.software = [5, 5];
+    rig.connect_all();
+    rig.run_ms(500);
+    let faults = rig.faults();
+    let words = "controller software 5.5 is too old: celld needs 5.6 or later (`is in remote control`";
+    assert!(faults.iter().any(|fault| fault.contains(words)), "{faults:?}");
+    assert!(!rig.saw(&RobotEvent::RtdeReady), "it is not used");
+}
+
+#[test]
 fn a_controller_whose_time_stands_still_is_stale() {
     let mut rig = Rig::ready();
     rig.fake.frozen_time = true;
