@@ -79,7 +79,7 @@ enum What {
     /// How this arm stops: by order, without celld, by the dashboard; the arm moves, celld measures
     #[command(after_help = stops::HELP)]
     Stops(trial::TrialArgs),
-    /// Record points of the table that the tool's tip touches; the arm is moved by hand, celld only reads it
+    /// Record points of the table that the tool's tip touches: a person moves the arm, in Local Control
     #[command(after_help = touch::HELP)]
     Touches(touch::TouchArgs),
 }

@@ -231,3 +231,54 @@ fn book_links_lead_somewhere() {
     assert!(dead.is_empty(), "{}", dead.join("\n"));
     assert!(followed > 100, "{followed} links");
 }
+
+/// With these words a text has a person move the arm, which a pendant allows in Local Control alone.
+const BY_HAND: [&str; 6] =
+    ["jog ", "jogged ", "guide the arm ", "move the arm by hand", "bring the tip ", "with freedrive"];
+
+/// The Rust files below a folder, without those of unit tests.
+fn sources(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let kept = entries.filter(|path| path.file_stem().is_some_and(|name| name != "tests"));
+    let files = kept.flat_map(|path| if path.is_dir() { sources(&path) } else { vec![path] });
+    files.filter(|path| path.extension().is_some_and(|extension| extension == "rs")).collect()
+}
+
+/// The string literals of Rust code before its unit tests.
+fn literals(code: &str) -> Vec<String> {
+    let code = code.split("\nmod tests {").next().unwrap_or_default();
+    let lines: Vec<&str> = code.lines().filter(|line| !line.trim_start().starts_with("//")).collect();
+    let code = lines.join("\n").replace("\\\"", "").replace("'\"'", "").replace("\\\n", " ");
+    code.split('"').skip(1).step_by(2).map(str::to_string).collect()
+}
+
+#[test]
+fn book_and_hints_name_local_control_where_a_person_moves_the_arm() {
+    let (mut found, mut silent) = (0, Vec::new());
+    let mut check = |place: &str, text: &str, hint: &str| {
+        let words = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+        if BY_HAND.iter().any(|phrase| words(text).to_lowercase().contains(phrase)) {
+            found += 1;
+            if !words(hint).contains("Local Control") {
+                silent.push(format!("{place}: {}", words(text)));
+            }
+        }
+    };
+    for name in names() {
+        // A row of a table and an item of a list are read alone.
+        let page = read(&format!("docs/{name}")).replace("\n|", "\n\n|").replace("\n* ", "\n\n* ");
+        page.split("\n\n").for_each(|paragraph| check(&name, paragraph, paragraph));
+    }
+    let sources = ["src", "crates"].map(|folder| sources(&root().join(folder))).concat();
+    // The words of a `Jog` are completed in travel.rs.
+    for path in sources.iter().filter(|path| !path.ends_with("cell-motion/src/jog.rs")) {
+        let all = literals(&std::fs::read_to_string(path).unwrap());
+        for (at, text) in all.iter().enumerate() {
+            // A hint may be put together from several literals.
+            let hint = all[at.saturating_sub(2)..(at + 3).min(all.len())].join(" ");
+            check(&path.display().to_string(), text, &hint);
+        }
+    }
+    assert!(silent.is_empty(), "{}", silent.join("\n"));
+    assert!(found >= 10, "{found} instructions");
+}

@@ -17,7 +17,9 @@ use celld::pair::run::bring_up;
 use celld::pair::table::stage;
 use celld::pair::worst::worst;
 use celld::pair::{Choice, Pair};
+use clap::Parser;
 use std::path::{Path, PathBuf};
+use ur_sim::command::compare::{self, CompareArgs};
 use ur_sim::compare::recording::read_recording;
 use ur_sim::motion::rounding::{BlendConfig, ENTRY_SPEEDS};
 
@@ -76,6 +78,46 @@ fn record_beside(folder: &Path) -> (Option<i32>, String) {
     recorded
 }
 
+/// `celld-sim compare` in this process: cargo does not build another package's program for a test.
+#[derive(Parser)]
+struct Compare {
+    #[command(flatten)]
+    args: CompareArgs,
+}
+
+/// The figure between these words.
+#[track_caller]
+fn figure(text: &str, before: &str, after: &str) -> f64 {
+    let number = text.split_once(before).and_then(|(_, rest)| rest.split_once(after));
+    let number = number.unwrap_or_else(|| panic!("no {before:?} in\n{text}")).0.replace(',', "");
+    number.parse().unwrap_or_else(|_| panic!("{before:?}: {number:?} is no number"))
+}
+
+/// Size and start of the program, and the recording, are within the figures of the page. The exit code of
+/// the page's command proves the last.
+fn keeps_what_the_page_promises(folder: &Path, said: &str) {
+    let page = include_str!("../../docs/commissioning.md");
+    let bytes = figure(said, "program: ", " bytes");
+    assert!(bytes <= figure(page, "| `calibrate blends` | at most ", " bytes"), "{said}");
+    assert!(figure(said, " bytes, plays ", " s ") <= figure(page, " bytes; plays within ", " s."), "{said}");
+
+    let command = page.lines().find(|line| line.starts_with("    celld-sim compare ")).expect("the command");
+    let promised = page.lines().find(|line| line.starts_with("| difference |")).expect("the reading");
+    for (option, before, after) in
+        [("--joint-tolerance ", "joints within ", " mrad"), ("--time-tolerance ", "as long within ", " ms")]
+    {
+        let (proved, promised) = (1e3 * figure(command, option, " "), figure(promised, before, after));
+        assert!((proved - promised).abs() < 1e-6, "{option}: {proved}, and {promised} in the table");
+    }
+    let words = command.split(" #").next().unwrap_or_default().split_whitespace().skip(1);
+    let words = words.map(|word| match word.starts_with("blends.") {
+        true => folder.join("calibration/sim").join(word).into_os_string(),
+        false => word.into(),
+    });
+    let Compare { args } = Compare::try_parse_from(words).unwrap_or_else(|error| panic!("{error}"));
+    assert_eq!(compare::run(&args), 0, "beyond the tolerances: {command}");
+}
+
 #[test]
 fn cell_step_zero_records_blends_and_a_real_arm_has_none_before() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -105,6 +147,7 @@ fn cell_step_zero_records_blends_and_a_real_arm_has_none_before() {
     assert!(!log.contains("the arm stops at each corner"), "{log}");
     let checked = celld(&["sim", "--check-script", "calibration/sim/blends.script"], folder);
     assert_eq!(checked.status.code(), Some(0), "{}", text(&checked.stdout));
+    keeps_what_the_page_promises(folder, &said);
 
     changed_recordings_are_void(folder);
 

@@ -61,8 +61,9 @@ pub enum SlowFault {
     },
     /// The arm would leave the taught box, or is outside of it.
     #[error(
-        "{what} {outside_mm:.0} mm outside the calibration box: jog the arm into it, or widen \
-         `calibration_box` as far as the arm's reach is free of people and things"
+        "{what} {outside_mm:.0} mm outside the calibration box: jog the arm into it at the pendant in Local \
+         Control, then switch it back to Remote Control; or widen `calibration_box` as far as the arm's \
+         reach is free of people and things"
     )]
     OutsideBox {
         /// Who is outside.

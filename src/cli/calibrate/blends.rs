@@ -36,7 +36,8 @@ to a place over the table, then up, across, down and back, twice, at the speeds 
 configuration and at least 4 cm over everything that may lie on the table by the configuration.
 Without --yes celld prints the places, and nothing moves.
   celld calibrate blends --config config/cell.yaml --yes
-  celld-sim compare blends.csv blends.script    # in the calibration folder
+  celld-sim compare blends.csv blends.script --joint-tolerance 0.004 --time-tolerance 0.05
+The last command runs in the calibration folder.
 A real arm cuts corners only with this recording, with the same controller and software, and with
 limits that are no larger: record again after an update and after you raise a limit. Gripper and
 camera may be absent. Without calibration files celld uses the table position of the configuration.";

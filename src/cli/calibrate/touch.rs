@@ -34,8 +34,9 @@ use tokio::sync::oneshot::error::TryRecvError;
 /// Shown under `celld calibrate touches --help`.
 pub(super) const HELP: &str = "\
 Mount a stiff pointed tip, measure where its point is in the flange frame (--tip-mm), and move the
-arm by hand (freedrive) or with the pendant. celld names each point and reads where the arm is
-when you press Enter; it moves nothing itself.
+arm with freedrive or by jogging, at the pendant in Local Control. celld names each point and reads
+where the arm is when you press Enter; it moves nothing itself. Switch the pendant back to Remote
+Control afterwards.
   celld calibrate touches --points 500,501:lower_left,503,0.25/0.25 --tip-mm 0,0,150 --save touches.yaml
 A point is a reference marker's middle (500), a corner of its black square (500:lower_left, seen
 upright), or a place in the table frame in m (0.25/0.25 or 0.25/0.25/0.02). Four far apart are
@@ -138,6 +139,7 @@ async fn record(config: &CellConfig, args: &TouchArgs, stop: Arc<AtomicBool>) ->
         touches: Vec::with_capacity(args.points.len()),
     };
     let mut session = TouchSession::new(args.points.clone(), arm.dh, begun);
+    complain("move the arm at the pendant in Local Control, by jogging or with freedrive");
     while let Some((number, target)) = session.wanted() {
         let all = args.points.len();
         let reported = format!("touch {number}/{all}: bring the tip onto {target}, let go, press Enter");
@@ -149,7 +151,8 @@ async fn record(config: &CellConfig, args: &TouchArgs, stop: Arc<AtomicBool>) ->
     complain(&format!("wrote {}", args.save.display()));
     let fit = session.fit(&reference_markers(config))?;
     report(touches, &(0..touches.touches.len()).collect::<Vec<_>>(), &fit);
-    complain("now run `celld calibrate table --touches` with this file");
+    let next = "now run `celld calibrate table --touches` with this file";
+    complain(&format!("switch the pendant back to Remote Control; {next}"));
     Ok(())
 }
 

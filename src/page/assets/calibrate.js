@@ -154,7 +154,7 @@ export function calibratePage(main) {
     card(t("How far it is off now"), parts.drift),
     card(t("1. The lens"), h("p", {}, t("Hold a printed board (celld markers --board) before the camera: near, far, tilted, in every corner. Measure a black square.")), board, parts.lens),
     card(t("2. Camera and table"), parts.round),
-    card(t("3. Touches (optional)"), h("p", {}, t("Mount a pointed tip and bring it onto points of the table by hand or with the pendant: marker numbers, 500:lower_left, or x/y in m. celld moves nothing.")), points, parts.touches),
+    card(t("3. Touches (optional)"), h("p", {}, t("Mount a pointed tip and bring it onto points of the table with freedrive or by jogging, at the pendant in Local Control: marker numbers, 500:lower_left, or x/y in m. celld moves nothing. Switch the pendant back to Remote Control afterwards.")), points, parts.touches),
     card(t("4. What comes of it"), parts.result)));
   let gone = false;
   const update = async () => {
