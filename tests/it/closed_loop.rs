@@ -14,6 +14,7 @@ use celld::pair::page::{PAGE, PAGE_SEED, expected, title};
 use celld::pair::reactions::{ROWS, Row};
 use celld::pair::run::{bring_up, run_jobs, true_poses};
 use celld::pair::shell_jobs::shell_job;
+use celld::pair::stage::Stage;
 use celld::pair::storm::{storm, strikes};
 use celld::pair::sweep::{case, cases, judge};
 use celld::pair::table::stage;
@@ -25,7 +26,6 @@ use rearrange::document::chain::chain;
 use rearrange::geometry::pose::Pose2;
 use std::collections::BTreeSet;
 use ur_arm::links::{farthest_apart, model_of};
-use ur_sim::box_clients::SecondClient;
 use ur_sim::faults::read::read_posted;
 use ur_sim::motion::rest::{RestConfig, Stop};
 use ur_sim::motion::rounding::{BlendConfig, EntrySpeed};
@@ -67,37 +67,74 @@ fn no_rule_is_broken_at_any_blend_speed() {
 #[test]
 fn the_worst_controller_is_as_bad_as_its_page_says() {
     let mut speeds = BTreeSet::new();
-    let (mut claims, mut evictions) = (0, 0);
+    let (mut claims, mut boxes, mut half_open_s) = (0, BTreeSet::new(), 0.0f64);
     for seed in 0..20 {
         let mut stage = stage(seed, SightKind::Corners).unwrap();
         worst(&mut stage, seed).unwrap();
         speeds.insert(format!("{:?}", stage.controller.blends.entry_speed));
         claims += stage.at_start.len();
-        evictions += usize::from(stage.world.gripper.clients.second == SecondClient::Evicts);
+        boxes.insert(format!("{:?}", stage.world.gripper.clients.second));
+        half_open_s = half_open_s.max(stage.world.gripper.clients.half_open_s);
         let RestConfig { stop, speed_noise, position_noise } = stage.controller.rest;
         assert!(stop == Stop::Creeping && speed_noise > 0.0 && position_noise > 0.0);
         assert!(stage.controller.loads_for_s == 2.0 && stage.world.gripper.overshoot == 0.11);
         assert_eq!(stage.weather, Weather::WORST);
     }
     assert_eq!(speeds.len(), 4);
-    assert!((1..20).contains(&claims) && (1..20).contains(&evictions), "{claims} {evictions}");
+    assert!((1..20).contains(&claims) && boxes.len() == 3 && half_open_s > 10.0, "{claims} {boxes:?}");
 }
 
-/// What `--faults sweep` and `--orders` do, with the worst controller: some of the cases in each run.
+/// What `--faults sweep` and `--orders` do, with the worst controller of one seed after the other: some of
+/// the cases in each run.
 #[test]
 fn no_case_breaks_a_rule_with_the_worst_controller() {
-    let mut stage = stage(PAGE_SEED, SightKind::Corners).unwrap();
-    worst(&mut stage, PAGE_SEED).unwrap();
+    let worst_cell = |number: usize| {
+        let mut stage = stage(PAGE_SEED, SightKind::Corners).unwrap();
+        worst(&mut stage, number as u64).unwrap();
+        stage
+    };
     let some: Vec<_> = cases().enumerate().filter(|(number, _)| chosen(*number, 40)).collect();
-    let wrong: Vec<String> = some
+    let reactions = some.par_iter().filter_map(|(number, (row, phase))| {
+        let (outcome, _) = case(&worst_cell(*number), row, *phase, PAGE_SEED, false).unwrap();
+        let faults = judge(row, *phase, &outcome, None);
+        (!faults.is_empty()).then(|| format!("worst {number}, {}: {faults:?}", title(row, *phase)))
+    });
+    let some: Vec<_> = orders::cases().enumerate().filter(|(number, _)| chosen(*number, 40)).collect();
+    let answers = some.par_iter().filter_map(|(number, (state, given))| {
+        let found = orders::case(&worst_cell(*number), state, given).unwrap();
+        let faults = orders::judge(given, &found);
+        let title = orders_page::title(state, given);
+        (!faults.is_empty()).then(|| format!("worst {number}, {title}: {faults:?}"))
+    });
+    let wrong: Vec<String> = reactions.chain(answers).collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// `celld simulate --faults random` with each of the controllers that a real one may be, and without blends.
+#[test]
+fn no_random_job_breaks_a_rule_with_any_controller() {
+    type Change = fn(&mut Stage, u64);
+    let kept: Change = |stage, seed| {
+        stage.controller.blends = BlendConfig { entry_speed: EntrySpeed::Kept, seed };
+    };
+    let raised: Change = |stage, seed| {
+        stage.controller.blends = BlendConfig { entry_speed: EntrySpeed::Raised, seed };
+    };
+    let none: Change = |stage, _| stage.model.cycle.blend = 0.0;
+    let worst_of: Change = |stage, seed| worst(stage, seed).unwrap();
+    let changes = [("kept", kept), ("raised", raised), ("none", none), ("worst", worst_of)];
+    let seeds = (0..64).filter(|seed| chosen(*seed as usize, 8));
+    let runs: Vec<_> = seeds.flat_map(|seed| changes.map(|change| (seed, change))).collect();
+    let wrong: Vec<String> = runs
         .par_iter()
-        .filter_map(|(_, (row, phase))| {
-            let (outcome, _) = case(&stage, row, *phase, PAGE_SEED, false).unwrap();
-            let faults = judge(row, *phase, &outcome, None);
-            (!faults.is_empty()).then(|| format!("{}: {faults:?}", title(row, *phase)))
+        .flat_map_iter(|(seed, (name, change))| {
+            let mut stage = stage(*seed, SightKind::Corners).unwrap();
+            change(&mut stage, *seed);
+            let (aftermath, _) = storm(&stage, Choice::of(*seed), &strikes(*seed)).unwrap();
+            aftermath.faults.into_iter().map(move |fault| format!("{name}, seed {seed}: {fault}"))
         })
         .collect();
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(wrong.is_empty(), "part {}:\n{}", part(), wrong.join("\n"));
 }
 
 /// The simulated arm has a calibration of its own, as a real one; celld reads it from the controller.
