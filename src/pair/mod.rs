@@ -301,6 +301,12 @@ impl Pair {
         &mut self.shell
     }
 
+    /// celld is ordered to end, as by SIGTERM.
+    pub fn terminate(&mut self) {
+        self.trace.line(self.frame, || "celld is ordered to end".to_string());
+        self.due.push(Event::Shutdown);
+    }
+
     /// celld's process stands still for so many seconds, as after SIGSTOP.
     pub fn stand_still(&mut self, seconds: f64) {
         self.trace.line(self.frame, || format!("celld stands still for {seconds:.3} s"));

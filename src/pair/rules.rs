@@ -10,6 +10,7 @@ mod arming;
 mod bodies;
 mod calibration;
 mod conduct;
+mod contacts;
 mod found;
 mod holding;
 mod intake;
@@ -27,6 +28,7 @@ use crate::pair::rules::arming::Arming;
 use crate::pair::rules::bodies::Bodies;
 use crate::pair::rules::calibration::Calibration;
 use crate::pair::rules::conduct::{Conduct, is_grip};
+use crate::pair::rules::contacts::Contacts;
 use crate::pair::rules::found::Found;
 use crate::pair::rules::holding::Holding;
 use crate::pair::rules::intake::Intake;
@@ -43,7 +45,7 @@ use cell_machine::event::{Effect, Event};
 use cell_machine::machine::Machine;
 use cell_machine::orders::{Order, Reply};
 use cell_machine::supervisor::input::Record;
-use cell_machine::supervisor::status::Status;
+use cell_machine::supervisor::status::{Doing, Status};
 use ur_sim::faults::Order as FaultOrder;
 use ur_sim::simulator::Simulator;
 use ur_sim::world::lock;
@@ -64,6 +66,7 @@ pub struct Rules {
     approvals: Approvals,
     calibration: Calibration,
     bodies: Bodies,
+    contacts: Contacts,
     limits: Limits,
     arming: Arming,
     holding: Holding,
@@ -84,6 +87,7 @@ impl Rules {
             approvals: Approvals::default(),
             calibration: Calibration::new(&model.tolerances.reference),
             bodies: Bodies::new(stage),
+            contacts: Contacts::default(),
             limits: Limits::new(model.arm.limits.clone(), gripper.flange_from_tool, model.round.clone()),
             arming: Arming::new(model.tolerances.arm_lapse.as_secs_f64()),
             holding: Holding::default(),
@@ -174,6 +178,7 @@ impl Rules {
                 self.limits.round_begins(Some(order));
                 self.arming.given(true);
             }
+            Event::Shutdown => self.intake.told_to_end(self.frame),
             Event::Commission { arm: true, .. } => self.arming.given(true),
             Event::Observed(number, Ok(_)) => self.calibration.observed(*number),
             _ => {}
@@ -216,7 +221,7 @@ impl Rules {
         if reply.accepted && self.conduct.order(number) == Some(&Order::Calibrate) {
             self.limits.round_begins(None);
         }
-        let decided = (self.conduct.order(number), reply.accepted);
+        let decided = (self.conduct.order(number), reply);
         self.intake.answered(self.frame, number, decided, &mut self.found);
         self.approvals.answered(number, reply.accepted);
         self.arming.answered(self.frame, number, reply);
@@ -227,6 +232,7 @@ impl Rules {
             Record::Planned(note) => self.approvals.planned(note),
             Record::Intent { step, object, from, to, .. } => {
                 self.approvals.intends(object, *from, *to);
+                self.contacts.intends(object, *to);
                 self.waits.intends(*step, &mut self.found);
             }
             Record::Gripped { .. } | Record::Ended(_) => self.waits.succeeded(),
@@ -265,7 +271,10 @@ impl Rules {
         self.waits.frame(&truth, &world, &mut self.found);
         self.holding.frame(&truth, &world, truth::gripper_answers(simulator), &mut self.found);
         let conduct = &self.conduct;
-        self.bodies.frame(&truth, &world, |object| conduct.is_astray(object), &mut self.found);
+        let recovers = status.is_some_and(|status| matches!(status.doing, Doing::Recovering(_)));
+        let astray = |object: &str| conduct.is_astray(object);
+        self.contacts.frame(&truth, &world, astray, recovers, &mut self.found);
+        self.bodies.frame(&truth, &world, astray, &mut self.found);
         drop(world);
         self.report();
     }

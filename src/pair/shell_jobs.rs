@@ -1,5 +1,6 @@
-//! Jobs while the shell around the machine is disturbed: the process stands still, the folder of commands is
-//! gone or full of a script's orders, the disk stalls, the calendar jumps, and people give orders and leave.
+//! Jobs while the shell around the machine is disturbed: the process stands still or is ordered to end, the
+//! folder of commands is gone or full of a script's orders, the disk stalls, the calendar jumps, and people
+//! give orders and leave.
 //!
 //! In: a seed. Out: what must not be, in words. The rules of the closed loop watch what they always watch,
 //! and that each order is decided in time or not at all.
@@ -12,11 +13,12 @@ use crate::pair::shell::{Client, Leaves, Way};
 use crate::pair::stage::Stage;
 use crate::pair::sweep::{after, settled};
 use crate::pair::work::approved_job;
-use crate::pair::{Choice, Pair};
+use crate::pair::{Choice, Loss, Pair};
 use cell_machine::orders::{Order, WayBack};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use ur_sim::motion::FRAME_SECONDS;
+use ur_sim::world::lock;
 
 /// Seconds after arming within which something happens.
 const WITHIN_S: f64 = 25.0;
@@ -26,6 +28,9 @@ const END_WITHIN_S: f64 = 240.0;
 
 /// A client takes its order back after so long, as `celld` does, s.
 const PATIENCE_S: f64 = 10.0;
+
+/// Seconds that celld may take to end: 6 for arm and gripper, 15 for the disk.
+const ENDS_WITHIN_S: f64 = 22.0;
 
 /// Seconds from one calendar to the other when it is set.
 const TEN_YEARS_S: f64 = 3.2e8;
@@ -45,10 +50,13 @@ pub enum Disturbance {
     Disk(f64),
     /// The calendar is set by so much, s.
     Calendar(f64),
+    /// celld is ordered to end, and is started again.
+    Ends,
 }
 
 fn disturbance(rng: &mut impl Rng) -> Disturbance {
-    match rng.random_range(0..8) {
+    match rng.random_range(0..9) {
+        8 => Disturbance::Ends,
         0 => Disturbance::StandsStill(rng.random_range(0.05..1.0)),
         1 => Disturbance::StandsStill(rng.random_range(1.0..20.0)),
         2 => Disturbance::Folder(Fate::Gone, rng.random_range(0.1..5.0)),
@@ -99,7 +107,12 @@ pub fn disturbances(seed: u64) -> Vec<(f64, Disturbance)> {
     all
 }
 
-fn bring_about(pair: &mut Pair, disturbance: Disturbance, ends: &mut Vec<(f64, Disturbance)>) {
+/// Brings it about; what must not be.
+fn bring_about(
+    pair: &mut Pair,
+    disturbance: Disturbance,
+    ends: &mut Vec<(f64, Disturbance)>,
+) -> Result<(), String> {
     let (now_s, frame) = (pair.seconds(), (pair.seconds() / FRAME_SECONDS) as u64);
     match disturbance {
         Disturbance::StandsStill(seconds) => pair.stand_still(seconds),
@@ -120,12 +133,31 @@ fn bring_about(pair: &mut Pair, disturbance: Disturbance, ends: &mut Vec<(f64, D
             ends.push((now_s + seconds, Disturbance::Disk(0.0)));
         }
         Disturbance::Calendar(by_s) => pair.shell().calendar_jumps(by_s),
+        Disturbance::Ends => return ends_and_starts(pair),
+    }
+    Ok(())
+}
+
+/// Ordered to end, celld brings the arm to rest and leaves the vacuum as it is.
+fn ends_and_starts(pair: &mut Pair) -> Result<(), String> {
+    let held = |pair: &Pair| lock(&pair.simulator().core().world).held().next().map(str::to_string);
+    let before = held(pair);
+    pair.terminate();
+    let ended = pair.run_until(ENDS_WITHIN_S, |pair| pair.ended().is_some());
+    let rests = pair.simulator().core().robot.controller().core.mover.stands();
+    let after = held(pair);
+    pair.restart(Loss::Killed).map_err(|error| error.to_string())?;
+    match ended {
+        false => Err(format!("celld has not ended after {ENDS_WITHIN_S} s")),
+        true if !rests => Err("celld ended while the arm moved".to_string()),
+        true if before != after => Err(format!("celld ended, and {before:?} became {after:?}")),
+        true => Ok(()),
     }
 }
 
 /// Orders wait while this lasts.
 fn cuts_off(disturbance: &Disturbance) -> bool {
-    matches!(disturbance, Disturbance::StandsStill(_) | Disturbance::Folder(..))
+    matches!(disturbance, Disturbance::StandsStill(_) | Disturbance::Folder(..) | Disturbance::Ends)
 }
 
 /// Its order is answered at once, it has waited its full patience, and there was no answer.
@@ -157,17 +189,17 @@ pub fn shell_job(stage: &Stage, seed: u64, keep: bool) -> Result<(Vec<String>, P
         pair.shell().add(client);
     }
     pair.submit(job);
+    let mut faults = Vec::new();
     let mut coming: Vec<_> = disturbances(seed).into_iter().map(|(at, one)| (began + at, one)).collect();
     while !coming.is_empty() {
         coming.sort_by(|a, b| b.0.total_cmp(&a.0));
         let Some((at_s, next)) = coming.pop() else { break };
         let left_s = at_s - pair.seconds();
         pair.run_until(left_s.max(0.0), |_| false);
-        bring_about(&mut pair, next, &mut coming);
+        faults.extend(bring_about(&mut pair, next, &mut coming).err());
     }
     pair.run_until(WITHIN_S + PATIENCE_S, |_| false);
     pair.run_until(END_WITHIN_S, |pair| settled(pair, 0));
-    let mut faults = Vec::new();
     if after(&mut pair, stage, seed).is_none() {
         faults.push("the job after it has not ended".to_string());
     }

@@ -1,6 +1,7 @@
 //! The cells that the closed loop runs: a small table with six objects, or what two configurations describe.
 //!
-//! In: a seed and how the cell sees, or the daemon's configuration and the simulator's. Out: a [`Stage`].
+//! In: a seed and how the cell sees, or the daemon's configuration and the simulator's. Out: a [`Stage`]. By
+//! seed a post stands beside the table, or safety planes bound the cell, or neither.
 
 use crate::config::cell::CellConfig;
 use crate::config::sessions::machine_parameters;
@@ -9,6 +10,9 @@ use crate::demo::task::requirements;
 use crate::pair::camera_view::SightKind;
 use crate::pair::stage::Stage;
 use cell_machine::supervisor::model::ForeignRule;
+use cell_motion::bodies::cell::NamedShape;
+use cell_motion::bodies::shape::Shape;
+use nalgebra::Translation3;
 use rearrange::planning::plan::Objective;
 use rearrange::planning::solver::SolverKind;
 use rearrange::tabletop::fit::fit;
@@ -17,6 +21,7 @@ use std::net::{IpAddr, Ipv4Addr};
 use std::path::Path;
 use ur_sim::command::sim_config;
 use ur_sim::config::SimFile;
+use ur_sim::motion::safety::SafetyPlane;
 use ur_sim::robot_server::RobotPorts;
 
 /// Six objects on a small table: enough for buffers, small enough for thousands of jobs.
@@ -31,6 +36,14 @@ objects:
   - {id: lid-1, footprint: {disc: {radius: 0.035}}, start: [0.20, 0.22, 0.0]}
   - {id: lid-2, footprint: {disc: {radius: 0.035}}, start: [0.32, 0.32, 0.0]}
 ";
+
+/// A post beside the table: its middle in the table frame, its edges, m.
+const POST_AT_M: [f64; 3] = [-0.06, 0.2, 0.2];
+const POST_M: [f64; 3] = [0.03, 0.03, 0.4];
+
+/// Safety planes: so far beyond the table's left edge, and so high over the base, m.
+const WALL_M: f64 = 0.25;
+const CEILING_M: f64 = 0.95;
 
 /// The closed loop's cell: a small table with six objects, as demo and simulator would configure it.
 ///
@@ -52,8 +65,32 @@ pub fn stage(seed: u64, eye: SightKind) -> Result<Stage, String> {
         // Corners have no depth.
         config.foreign = ForeignRule::Off;
     }
-    let file = sim_file(&instance, &config, &choice)?;
+    let mut file = sim_file(&instance, &config, &choice)?;
+    surround(&mut config, &mut file, seed);
     stage_of(&config, &file, seed)
+}
+
+/// What stands round the arm. The planes are the controller's too.
+fn surround(config: &mut CellConfig, file: &mut SimFile, seed: u64) {
+    let table = config.base_from_table;
+    match seed % 4 {
+        2 => {
+            let shape = Shape::cuboid(POST_M, &(table * Translation3::from(POST_AT_M)));
+            config.equipment.fixed.push(NamedShape { name: "the post".to_string(), shape });
+        }
+        3 => {
+            let left = table.translation.x - WALL_M;
+            for (name, point, normal) in [
+                ("the wall", [left, 0.0, 0.0], [1.0, 0.0, 0.0]),
+                ("the ceiling", [0.0, 0.0, CEILING_M], [0.0, 0.0, -1.0]),
+            ] {
+                let shape = Shape::half_space(point, normal);
+                config.equipment.fixed.push(NamedShape { name: name.to_string(), shape });
+                file.safety.planes.push(SafetyPlane { point, normal });
+            }
+        }
+        _ => {}
+    }
 }
 
 /// The closed loop's cell as two configurations have it: the daemon's and the simulator's.

@@ -6,7 +6,7 @@
 //! started (sleep included), so that no clock setting makes an order young again. The daemon's shell and
 //! the closed loop call the same functions.
 
-use crate::orders::{Order, Reply};
+use crate::orders::{Order, Reply, Stale};
 use cell_values::time::Duration;
 use serde::{Deserialize, Serialize};
 
@@ -45,18 +45,19 @@ pub fn refusal(order: &Order, origin: Origin) -> Option<Reply> {
 /// Why something that does more than stop is not done: nobody waits for it, or it is too old.
 pub fn stale(origin: Origin) -> Option<Reply> {
     if !origin.client_waits {
-        return Some(Reply::refuse(
-            "nothing was done: the client that gave this order ended before it was decided",
-        ));
+        let reply =
+            Reply::refuse("nothing was done: the client that gave this order ended before it was decided");
+        return Some(Reply { stale: Some(Stale::ClientEnded), ..reply });
     }
     // Written so that an age that is no number is too old.
     let counts = (-AHEAD_S..=COUNTS_FOR_S).contains(&origin.age_s);
     (!counts).then(|| {
         let age_s = origin.age_s;
-        Reply::refuse(format!(
+        let reply = Reply::refuse(format!(
             "nothing was done: this order was given {age_s:.0} s ago and counts for {COUNTS_FOR_S:.0} s; look at \
              the cell, then give it again"
-        ))
+        ));
+        Reply { stale: Some(Stale::TooOld), ..reply }
     })
 }
 

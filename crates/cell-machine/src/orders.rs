@@ -273,17 +273,29 @@ pub struct Reply {
     /// The gripper that a person has confirmed by the order, to be remembered; never sent to clients.
     #[serde(skip)]
     pub confirmed: Option<ConfirmedGripper>,
+    /// Why the cell did not decide on the order, for the rules of the closed loop; never sent to clients.
+    #[serde(skip)]
+    pub stale: Option<Stale>,
+}
+
+/// Why an order no longer counts when it is to be decided.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stale {
+    /// Its client has ended.
+    ClientEnded,
+    /// It was given too long ago.
+    TooOld,
 }
 
 impl Reply {
     /// It is done.
     pub fn accept(message: impl Into<String>) -> Reply {
-        Reply { accepted: true, message: message.into(), confirmed: None }
+        Reply { accepted: true, message: message.into(), confirmed: None, stale: None }
     }
 
     /// It is not.
     pub fn refuse(message: impl Into<String>) -> Reply {
-        Reply { accepted: false, message: message.into(), confirmed: None }
+        Reply { accepted: false, message: message.into(), confirmed: None, stale: None }
     }
 }
 

@@ -47,14 +47,18 @@ const PUSHED_EVERY: u64 = 25;
 /// Places along a link's capsule that are looked at.
 const ALONG: usize = 5;
 
+/// Points along an edge of gripper or load that are looked at near equipment are at most so far apart, m.
+const APART_M: f64 = 0.015;
+
 /// Everything that moves, and what stands. See the module.
 #[derive(Debug)]
 pub(super) struct Bodies {
     arm: ThinModel,
     chain: Chain,
     links: Vec<(usize, Capsule)>,
-    /// Corners of gripper and camera in the flange frame.
+    /// Corners of gripper and camera in the flange frame, and points along the gripper's edges.
     tool: Vec<(&'static str, Point3<f64>)>,
+    tool_edges: Vec<Point3<f64>>,
     equipment: Vec<(String, Solid)>,
     planes: Vec<SafetyPlane>,
     /// Where each object lies since it came to rest.
@@ -82,6 +86,7 @@ impl Bodies {
                 .flat_map(|(frame, each)| each.iter().map(move |one| (frame, *one)))
                 .collect(),
             tool: tool_points(stage),
+            tool_edges: tool_edges(stage),
             equipment: equipment
                 .filter_map(|body| Some((body.name.clone(), Solid::of(&body.shape.outline()?)?)))
                 .collect(),
@@ -155,6 +160,12 @@ impl Bodies {
         let lowest = on_table.iter().map(|(_, point)| point.z).fold(f64::INFINITY, f64::min);
         if lowest < tallest {
             self.among_objects(&on_table, load, &objects, found);
+        }
+        if !self.equipment.is_empty() {
+            points.extend(self.tool_edges.iter().map(|point| ("the gripper", truth.flange * point)));
+            let edges =
+                load.into_iter().flat_map(|load| load_edges(load).map(|point| (load.id.as_str(), point)));
+            points.extend(edges.map(|(id, point)| (id, world.base_from_table() * point)));
         }
         let clear = self.near_equipment(truth, &points, found);
         (lowest - tallest).min(clear)
@@ -253,6 +264,37 @@ fn tool_points(stage: &Stage) -> Vec<(&'static str, Point3<f64>)> {
         points.extend(camera_corners(&flange_from_camera).map(|point| ("the camera", point)));
     }
     points
+}
+
+/// Points along the gripper's edges, lower, middle and upper, in the flange frame.
+fn tool_edges(stage: &Stage) -> Vec<Point3<f64>> {
+    let gripper = &stage.world.gripper;
+    let corners = Section::from_footprint(&gripper.body).corners(&Pose2::new(0.0, 0.0, 0.0));
+    let under = -gripper.body_above_lips_m;
+    let top = under.min(gripper.flange_from_tool.inverse().translation.z);
+    let heights = [under, 0.5 * (under + top), top];
+    let points = along_edges(&corners);
+    points.flat_map(|[x, y]| heights.map(|z| gripper.flange_from_tool * Point3::new(x, y, z))).collect()
+}
+
+/// Points between the corners of an outline.
+fn along_edges(corners: &[[f64; 2]]) -> impl Iterator<Item = [f64; 2]> {
+    let next = corners.iter().cycle().skip(1);
+    corners.iter().zip(next).flat_map(|(a, b)| {
+        let pieces = ((b[0] - a[0]).hypot(b[1] - a[1]) / APART_M).ceil() as usize;
+        (1..pieces).map(move |k| {
+            let share = k as f64 / pieces as f64;
+            [a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])]
+        })
+    })
+}
+
+/// Points along the edges of an object's lower and upper face, table frame.
+fn load_edges(load: &Body) -> impl Iterator<Item = Point3<f64>> {
+    let corners = load.section.corners(&Pose2::new(0.0, 0.0, 0.0));
+    let points: Vec<[f64; 2]> = along_edges(&corners).collect();
+    let faces = points.into_iter().flat_map(|[x, y]| [[x, y, 0.0], [x, y, load.height_m]]);
+    faces.map(|point| load.table_from_object * Point3::from(point))
 }
 
 fn camera_corners(flange_from_camera: &Isometry3<f64>) -> [Point3<f64>; 8] {

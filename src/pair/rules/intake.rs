@@ -1,5 +1,5 @@
-//! The rules about the way of an order to the machine: it is decided in time or not at all, and a cell that
-//! no order reaches is not armed.
+//! The rules about the way of an order to the machine: it is decided in time or not at all, nothing else
+//! keeps it from being decided, and a cell that no order reaches is not armed.
 //!
 //! In: what clients did, what was handed on to the machine, what became of the process and of the folder of
 //! commands. Out: breaches. When an order was given and whether its client is there is known here by the
@@ -11,8 +11,8 @@ use crate::pair::rules::truth::{FRAMES_PER_S, Truth};
 use crate::pair::shell::folder::Fate;
 use crate::pair::shell::{Client, Happened, Way};
 use cell_machine::intake::{COUNTS_FOR_S, HELD_UP_AFTER, REACH_WITHIN};
-use cell_machine::orders::Order;
-use std::collections::BTreeMap;
+use cell_machine::orders::{Order, Reply};
+use std::collections::{BTreeMap, BTreeSet};
 
 /// A stop is handed on within this, 10 ms: with its decision it takes 20.
 const HANDED_ON_FRAMES: u64 = 5;
@@ -20,6 +20,9 @@ const HANDED_ON_FRAMES: u64 = 5;
 /// Longest time from intake to the answer of a release, 8 s: 5.5 s for the arm to stop, the rest for the
 /// gripper.
 const RELEASED_WITHIN_FRAMES: u64 = 4000;
+
+/// An order this much younger than it may be is in time, 50 ms.
+const SURELY_FRAMES: u64 = 25;
 
 /// After this long the cell is disarmed, beyond what it may take: 50 ms.
 const DISARMED_FRAMES: u64 = 25;
@@ -31,6 +34,10 @@ pub(super) struct Intake {
     stops: BTreeMap<usize, Stop>,
     /// What must not be carried out, and why not.
     void: BTreeMap<u64, String>,
+    /// Orders of clients that wait, given in time.
+    in_time: BTreeSet<u64>,
+    /// When celld was ordered to end, and the cell was armed.
+    ends: Option<u64>,
     /// When each order reached the machine.
     handed_on: BTreeMap<u64, u64>,
     /// Since when no order can be taken.
@@ -70,6 +77,9 @@ impl Intake {
             Happened::Over(client) => _ = self.stops.remove(client),
             Happened::HandedOn(number, of) => {
                 of.iter().for_each(|client| _ = self.stops.remove(client));
+                if of.iter().any(|client| in_time(frame, clients.get(*client))) {
+                    self.in_time.insert(*number);
+                }
                 let all_void: Option<Vec<String>> =
                     of.iter().map(|client| void(frame, clients.get(*client))).collect();
                 self.void.extend(all_void.and_then(|mut why| why.pop()).map(|why| (*number, why)));
@@ -85,9 +95,13 @@ impl Intake {
         &mut self,
         frame: u64,
         number: u64,
-        (order, accepted): (Option<&Order>, bool),
+        (order, reply): (Option<&Order>, &Reply),
         found: &mut Found,
     ) {
+        let accepted = reply.accepted;
+        if let Some(why) = reply.stale.filter(|_| self.in_time.remove(&number)) {
+            found.push(Rule::RefusedInTime, format!("{order:?} as {why:?}"));
+        }
         // A release waits for the arm to come to rest, and is carried out as it is answered.
         let since = self.handed_on.remove(&number).filter(|_| matches!(order, Some(Order::Release(_))));
         let took = since.map(|since| frame - since).filter(|took| *took > RELEASED_WITHIN_FRAMES);
@@ -99,6 +113,11 @@ impl Intake {
         if accepted && matches!(order, Some(Order::Arm | Order::Recover(_) | Order::Calibrate)) {
             self.held_up = None;
         }
+    }
+
+    /// celld is ordered to end.
+    pub fn told_to_end(&mut self, frame: u64) {
+        self.ends = Some(frame);
     }
 
     /// The daemon is gone and comes back.
@@ -121,6 +140,9 @@ impl Intake {
         {
             found.push(Rule::StopLate, format!("{order:?} on its way to the machine"));
         }
+        if self.ends.take_if(|since| truth.frame > *since + HANDED_ON_FRAMES).is_some() && truth.armed() {
+            found.push(Rule::StopLate, "the end of celld");
+        }
         let cut_off = runs && cut_off;
         self.cut_off = if cut_off { self.cut_off.or(Some(truth.frame)) } else { None };
         let allowed = (REACH_WITHIN.as_secs_f64() * FRAMES_PER_S) as u64 + DISARMED_FRAMES;
@@ -141,6 +163,15 @@ fn void(frame: u64, client: Option<&Client>) -> Option<String> {
     }
     let age = frame - client.given_in().unwrap_or(frame);
     (age as f64 / FRAMES_PER_S > COUNTS_FOR_S + 0.01).then(|| late(age))
+}
+
+/// Its client waits, and its order is young enough by far.
+fn in_time(frame: u64, client: Option<&Client>) -> bool {
+    let young = |given: u64| {
+        let age_s = (frame + SURELY_FRAMES - given) as f64 / FRAMES_PER_S;
+        age_s < COUNTS_FOR_S
+    };
+    client.is_some_and(|client| client.left_in().is_none() && client.given_in().is_some_and(young))
 }
 
 fn late(frames: u64) -> String {

@@ -1,5 +1,5 @@
-//! The rules about the limits of every motion: range, speed and acceleration of the joints; box and speed of
-//! a calibration round.
+//! The rules about the limits of every motion: range, speed and acceleration of the joints; speed of the
+//! tool on a line; box and speed of a calibration round.
 //!
 //! In: the arm of every frame, the limits of the cell's own configuration, the round as it was ordered.
 //! Out: breaches. The limits that the machine was given do not count. A stop may be harder than a motion,
@@ -81,6 +81,7 @@ impl Limits {
         }
         if truth.ours && truth.moves {
             self.joints(truth, found);
+            self.on_line(truth, found);
             self.in_round(truth, found);
         }
     }
@@ -102,6 +103,15 @@ impl Limits {
                 let detail = format!("joint {} at {acceleration:.1} rad/s2", joint + 1);
                 found.push(Rule::JointAcceleration, detail);
             }
+        }
+    }
+
+    /// Nowhere on a line is the tool faster than ordered, whatever speed a corner has left it.
+    fn on_line(&self, truth: &Truth, found: &mut Found) {
+        let Some(ordered) = truth.line_speed else { return };
+        let most = SPEED_SHARE * ordered.min(self.limits.tool_speed);
+        if truth.tool_speed > most {
+            found.push(Rule::ToolSpeed, format!("{:.3} m/s, not {most:.3}", truth.tool_speed));
         }
     }
 

@@ -67,6 +67,10 @@ pub enum Rule {
     JointSpeed,
     /// A joint accelerates harder than configured.
     JointAcceleration,
+    /// The tool is faster on a line than ordered or configured.
+    ToolSpeed,
+    /// Something is touched at speed that is neither picked nor put down.
+    ContactTooFast,
     /// The flange leaves the calibration box in a calibration round.
     RoundOutsideBox,
     /// The tool is faster than 0.1 m/s in a calibration round.
@@ -79,7 +83,8 @@ pub enum Rule {
     ArmedThroughPower,
     /// The cell is armed, and no person has ordered it.
     ArmedWithoutOrder,
-    /// An order that only stops is not handed on within 10 ms, or not decided within 20.
+    /// An order that only stops, or the end of celld, is not handed on within 10 ms, or not decided within
+    /// 20.
     StopLate,
     /// The status does not say what hangs on the gripper, or says that something does where nothing hangs.
     HeldNotTrue,
@@ -92,6 +97,8 @@ pub enum Rule {
     /// An order that does more than stop is carried out although its client had left, or it is older than
     /// 10 s.
     OrderOutOfTime,
+    /// An order is refused for its age or its client although it is young and its client waits.
+    RefusedInTime,
     /// The cell stays armed although orders have not reached it for longer than a second.
     ArmedCutOff,
     /// The cell stays armed although celld's process stood still for longer than a second.
@@ -102,7 +109,7 @@ pub enum Rule {
 
 impl Rule {
     /// All of them.
-    pub const ALL: [Rule; 43] = [
+    pub const ALL: [Rule; 46] = [
         Rule::MotionWhileDisarmed,
         Rule::GripBeforeCommit,
         Rule::MotionOnStaleState,
@@ -131,6 +138,8 @@ impl Rule {
         Rule::JointRange,
         Rule::JointSpeed,
         Rule::JointAcceleration,
+        Rule::ToolSpeed,
+        Rule::ContactTooFast,
         Rule::RoundOutsideBox,
         Rule::RoundTooFast,
         Rule::ArmedTooLong,
@@ -143,6 +152,7 @@ impl Rule {
         Rule::WaitWithoutEnd,
         Rule::RetriesWithoutEnd,
         Rule::OrderOutOfTime,
+        Rule::RefusedInTime,
         Rule::ArmedCutOff,
         Rule::ArmedAfterHoldUp,
         Rule::ReplayDiffers,

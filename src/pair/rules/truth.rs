@@ -55,6 +55,10 @@ pub(super) struct Truth<'a> {
     pub follows: bool,
     /// The program is paused.
     pub paused: bool,
+    /// Speed of the tool, m/s.
+    pub tool_speed: f64,
+    /// The ordered speed of the line that the tool follows, m/s; none in corners and for other moves.
+    pub line_speed: Option<f64>,
     /// Share of its speed at which the arm follows its path.
     pub speed: f64,
     /// The safety system allows motion.
@@ -123,6 +127,8 @@ impl<'a> Truth<'a> {
             ours: programs.name().is_none_or(|name| name.starts_with("celld_")),
             follows: full && safe && programs.playing(),
             paused: programs.paused(),
+            tool_speed: core.mover.tcp_speed().fixed_rows::<3>(0).norm(),
+            line_speed: core.mover.line_speed(),
             speed: core.registers.speed_fraction(),
             safe,
             local: !core.modes.remote(),

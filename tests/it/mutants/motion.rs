@@ -26,6 +26,9 @@ use ur_sim::motion::rounding::{BlendConfig, EntrySpeed};
 /// Of every joint, as config/cell.yaml has it, rad/s.
 const FULL_SPEED: f64 = 60.0 * TAU / 360.0;
 
+/// A speed of joints at which the tool is faster than on any line, rad/s.
+const WORK_SPEED: f64 = 0.7;
+
 pub const CASES: &[Case] = &[
     Case {
         name: "a command is sent to a disarmed cell",
@@ -98,6 +101,20 @@ pub const CASES: &[Case] = &[
         drill: until_the_first_breach,
     },
     Case {
+        name: "a line is entered through a corner at the speed of the move before it",
+        rule: Rule::ToolSpeed,
+        cell: blends_kept,
+        plant: lines_entered_fast,
+        drill: until_the_first_breach,
+    },
+    Case {
+        name: "the way down to an object ends below its top",
+        rule: Rule::ContactTooFast,
+        cell: usual,
+        plant: down_too_deep,
+        drill: until_the_first_breach,
+    },
+    Case {
         name: "a calibration round forgets its box",
         rule: Rule::RoundOutsideBox,
         cell: usual,
@@ -140,6 +157,41 @@ fn corners_fast() -> Plant {
         if goes_on && rtde::integer(command, rtde::OPCODE) == rtde::MOVE_JOINT {
             rtde::set_double(command, rtde::SPEED, FULL_SPEED);
             rtde::set_double(command, rtde::BLEND, 0.03);
+        }
+        true
+    })
+}
+
+/// Joint moves that another move follows run at the configured speed, with a blend.
+fn lines_entered_fast() -> Plant {
+    on_commands(|command| {
+        let goes_on = rtde::integer(command, rtde::OPTIONS) == 0;
+        if goes_on && rtde::integer(command, rtde::OPCODE) == rtde::MOVE_JOINT {
+            rtde::set_double(command, rtde::SPEED, WORK_SPEED);
+            rtde::set_double(command, rtde::BLEND, 0.03);
+        }
+        true
+    })
+}
+
+/// A line after a joint move, down to an object or to a place, goes twice as far.
+fn down_too_deep() -> Plant {
+    const SHARE: f64 = 2.0;
+    let mut last = None;
+    on_commands(move |command| {
+        let opcode = rtde::integer(command, rtde::OPCODE);
+        if opcode != rtde::MOVE_JOINT && opcode != rtde::MOVE_LINEAR {
+            return true;
+        }
+        let target: [f64; 6] = std::array::from_fn(|joint| rtde::double(command, rtde::argument(joint)));
+        let before = last.replace((opcode, target));
+        if let Some((rtde::MOVE_JOINT, from)) = before
+            && opcode == rtde::MOVE_LINEAR
+        {
+            for (joint, from) in from.iter().enumerate() {
+                let there = from + SHARE * (target[joint] - from);
+                rtde::set_double(command, rtde::argument(joint), there);
+            }
         }
         true
     })

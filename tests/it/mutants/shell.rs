@@ -11,6 +11,8 @@ use celld::pair::rules::Rule;
 use celld::pair::shell::folder::Fate;
 use celld::pair::shell::{Client, Leaves, Way};
 use celld::pair::stage::Stage;
+use std::cell::Cell;
+use std::rc::Rc;
 
 pub const CASES: &[Case] = &[
     Case {
@@ -26,6 +28,20 @@ pub const CASES: &[Case] = &[
         cell: usual,
         plant: || origins(|origin| Origin { age_s: 0.0, ..origin }),
         drill: armed_after_a_quarter_of_a_minute,
+    },
+    Case {
+        name: "an order is taken for six seconds older than it is",
+        rule: Rule::RefusedInTime,
+        cell: usual,
+        plant: || origins(|origin| Origin { age_s: origin.age_s + 6.0, ..origin }),
+        drill: armed_after_five_seconds,
+    },
+    Case {
+        name: "the order to end celld reaches the cell late",
+        rule: Rule::StopLate,
+        cell: usual,
+        plant: ends_late,
+        drill: ended_at_work,
     },
     Case {
         name: "nobody notices that the folder of commands is gone",
@@ -82,6 +98,35 @@ fn armed_after_a_quarter_of_a_minute(pair: &mut Pair, _: &Stage) {
     pair.stand_still(15.0);
     arms(pair, Leaves::GivesUp(60.0));
     until_found(pair, 20.0);
+}
+
+fn armed_after_five_seconds(pair: &mut Pair, _: &Stage) {
+    pair.stand_still(5.0);
+    arms(pair, Leaves::GivesUp(60.0));
+    until_found(pair, 10.0);
+}
+
+/// The end comes half a second after it was ordered.
+fn ends_late() -> Plant {
+    let (ordered, mut since) = (Rc::new(Cell::new(false)), 0);
+    let held_back = Rc::clone(&ordered);
+    Plant::none()
+        .event(move |event, events| match event {
+            Event::Shutdown => ordered.set(true),
+            other => events.push(other),
+        })
+        .frame(move |_, _, events| {
+            since += u32::from(held_back.get());
+            if since == 250 {
+                events.push(Event::Shutdown);
+            }
+        })
+}
+
+fn ended_at_work(pair: &mut Pair, stage: &Stage) {
+    work_until(pair, stage, WorkStep::Approaching);
+    pair.terminate();
+    until_found(pair, 3.0);
 }
 
 fn cut_off(pair: &mut Pair, _: &Stage) {

@@ -23,6 +23,7 @@ use celld::pair::work::job;
 use nalgebra::Isometry3;
 use std::cell::RefCell;
 use std::rc::Rc;
+use ur_sim::motion::safety::SafetyPlane;
 
 pub const CASES: &[Case] = &[
     Case {
@@ -64,6 +65,13 @@ pub const CASES: &[Case] = &[
         name: "the equipment is not known",
         rule: Rule::MeetsEquipment,
         cell: with_a_post,
+        plant: || commissioned(without_equipment),
+        drill: a_whole_job,
+    },
+    Case {
+        name: "the safety planes are not known",
+        rule: Rule::MeetsEquipment,
+        cell: with_a_plane,
         plant: || commissioned(without_equipment),
         drill: a_whole_job,
     },
@@ -218,6 +226,15 @@ fn with_a_post(stage: &mut Stage) {
     let middle = Isometry3::translation(table.x + 0.2, table.y + 0.2, 0.35);
     let post = NamedShape { name: "the post".to_string(), shape: Shape::cuboid([0.03, 0.03, 0.5], &middle) };
     stage.model.arm.bodies = stage.model.arm.bodies.clone().with(&post);
+}
+
+/// A safety plane along the left edge of the table.
+fn with_a_plane(stage: &mut Stage) {
+    let left = stage.world.base_from_table.translation.x;
+    let (point, normal) = ([left, 0.0, 0.0], [1.0, 0.0, 0.0]);
+    let plane = NamedShape { name: "the wall".to_string(), shape: Shape::half_space(point, normal) };
+    stage.model.arm.bodies = stage.model.arm.bodies.clone().with(&plane);
+    stage.controller.safety.planes.push(SafetyPlane { point, normal });
 }
 
 fn without_equipment(model: &mut CellModel) {

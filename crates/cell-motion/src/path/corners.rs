@@ -24,8 +24,9 @@ use crate::path::traced::{Traced, at_distance};
 use crate::ramp::rest_to_rest;
 use nalgebra::Vector3;
 
-/// A blend's real radius over its nominal one, at least and at most. Both are guesses: one late blend was
-/// reported (topic 41354), no early one.
+/// A blend's real radius over its nominal one, at least and at most. Both are guesses. One late blend was
+/// reported (topic 41354): of 20 mm, 3 mm before the corner, at 1 mm/s, where no load feels the turn. Of
+/// late ones at speed and of early ones nothing is known.
 const BLEND_RADIUS_MIN_RATIO: f64 = 0.5;
 const BLEND_RADIUS_MAX_RATIO: f64 = 1.1;
 

@@ -154,6 +154,14 @@ impl Mover {
         corners.any(|(time, seconds)| seconds > 0.0 && time < seconds + 2.0 * FRAME_SECONDS)
     }
 
+    /// The ordered speed of the line that the tool follows alone, m/s; none in a corner and for other moves.
+    pub fn line_speed(&self) -> Option<f64> {
+        let Task::Segments(segments) = &self.task else { return None };
+        let only = segments.back().filter(|_| segments.len() == 1)?;
+        let from = only.segment.corner_seconds() + 2.0 * FRAME_SECONDS;
+        only.segment.line_speed().filter(|_| only.time >= from)
+    }
+
     /// Joint positions.
     pub fn q(&self) -> Joints {
         self.carried.as_ref().map_or(self.q, |carried| carried.q)

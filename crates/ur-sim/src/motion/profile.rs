@@ -6,7 +6,8 @@
 //! path's own unit (rad of the leading joint, m of the tool).
 //! A blend is the sum of two motions: while one brakes to a stop over the blend distance, the next starts,
 //! taking as long to reach its speed. Both ramps being equally long, speed in a straight continuation stays
-//! constant, and round a corner the path is a parabola.
+//! constant, and round a corner the path is a parabola. A path that is entered faster than its length allows
+//! to brake from is overrun: the arm goes past the end and comes back.
 
 /// What a profile is built from.
 #[derive(Clone, Copy, Debug)]
@@ -42,6 +43,8 @@ pub struct Profile {
     /// Profile seconds per second, when a duration was requested.
     rate: f64,
     tail: f64,
+    /// The arm goes past the end.
+    overruns: bool,
 }
 
 impl Profile {
@@ -49,7 +52,7 @@ impl Profile {
     pub fn new(shape: &Shape) -> Profile {
         let Shape { length, speed, acceleration: a, lead, entry, keeps, .. } = *shape;
         if length <= 0.0 {
-            return Profile { phases: Vec::new(), length: 0.0, rate: 1.0, tail: 0.0 };
+            return Profile { phases: Vec::new(), length: 0.0, rate: 1.0, tail: 0.0, overruns: false };
         }
         // The middle of the path belongs to no blend, so that the two of a path cannot overlap.
         let blend = shape.blend.clamp(0.0, length / 2.0);
@@ -60,7 +63,15 @@ impl Profile {
         let ramp = if entry > 0.0 { 0.0 } else { start * lead / 2.0 };
         let middle = (until_tail - ramp).max(0.0);
         out = out.min((start * start + 2.0 * a * middle).sqrt());
-        // Too fast at the start for the way there is: brakes harder.
+        let slowest = (start * start - 2.0 * a * middle).max(0.0).sqrt();
+        if entry > 0.0 && keeps && slowest > out {
+            if blend <= 0.0 {
+                return Profile::overrun(entry, a, length);
+            }
+            // The next move takes over from an arm that is still too fast.
+            out = slowest;
+        }
+        // A process move that is entered too fast for the way there is brakes harder.
         let needed = (start * start - out * out) / (2.0 * middle.max(1e-9));
         let a = if entry > 0.0 { a.max(needed) } else { a };
         let peak = speed.min(((2.0 * a * middle + start * start + out * out) / 2.0).sqrt()).max(out);
@@ -85,7 +96,19 @@ impl Profile {
             Phase { duration: tail, speed: out, acceleration: tail_slope },
         ];
         let phases = phases.into_iter().filter(|phase| phase.duration > 0.0).collect();
-        Profile { phases, length, rate: 1.0, tail }
+        Profile { phases, length, rate: 1.0, tail, overruns: false }
+    }
+
+    /// From `entry` braked at `a` until the arm rests beyond the end, then back to it.
+    fn overrun(entry: f64, a: f64, length: f64) -> Profile {
+        let beyond = entry * entry / (2.0 * a) - length;
+        let half = (beyond / a).sqrt();
+        let phases = vec![
+            Phase { duration: entry / a, speed: entry, acceleration: -a },
+            Phase { duration: half, speed: 0.0, acceleration: -a },
+            Phase { duration: half, speed: -a * half, acceleration: a },
+        ];
+        Profile { phases, length, rate: 1.0, tail: 0.0, overruns: true }
     }
 
     /// The same profile stretched or squeezed to take `seconds`.
@@ -116,7 +139,7 @@ impl Profile {
         (self.duration() - self.tail / self.rate).max(0.0)
     }
 
-    /// Fraction of the path that is behind at `time` (s), 0 to 1.
+    /// Fraction of the path that is behind at `time` (s), 0 to 1; more where the arm overruns its end.
     pub fn fraction(&self, time: f64) -> f64 {
         if self.length <= 0.0 || time >= self.duration() {
             return 1.0;
@@ -131,7 +154,8 @@ impl Profile {
                 break;
             }
         }
-        (position / self.length).min(1.0)
+        let fraction = position / self.length;
+        if self.overruns { fraction } else { fraction.min(1.0) }
     }
 }
 
@@ -194,6 +218,25 @@ mod tests {
             let last = (1.0 - profile.fraction(end - 1e-5)) * length / 1e-5;
             assert!(last < 1e-3, "{last} m/s at the end");
         }
+    }
+
+    /// 0.25 m/s need 26 mm to brake at 1.2 m/s2.
+    #[test]
+    fn a_path_that_is_too_short_to_brake_on_is_overrun() {
+        let shape = Shape { entry: 0.25, keeps: true, ..shape(0.015, 1.2, 0.25) };
+        let profile = Profile::new(&shape);
+        let at = |time: f64| profile.fraction(time) * 0.015;
+        let (step, end) = (1e-3, profile.duration());
+        let times = (1..(end / step) as usize).map(|k| k as f64 * step);
+        let beyond = times.clone().map(at).fold(0.0, f64::max) - 0.015;
+        assert!((beyond - (0.25 * 0.25 / 2.4 - 0.015)).abs() < 1e-6, "{beyond} m beyond the end");
+        for time in times.skip(1) {
+            let change = (at(time + step) - 2.0 * at(time) + at(time - step)) / (step * step);
+            assert!(change.abs() < 1.2 * 1.01, "{change} m/s2 at {time} s");
+        }
+        assert_eq!(profile.fraction(end), 1.0);
+        let enough = Profile::new(&Shape { length: 0.027, ..shape });
+        assert!((0..1000).all(|k| enough.fraction(f64::from(k) * step) <= 1.0));
     }
 
     #[test]

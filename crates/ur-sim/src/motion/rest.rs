@@ -318,4 +318,83 @@ mod tests {
         assert_eq!(last(7), last(7));
         assert_ne!(last(7), last(8));
     }
+
+    /// Time and fastest joint of each line of a recording of positions and speeds.
+    fn recording(text: &str) -> Vec<(f64, f64)> {
+        let numbers = |line: &str| line.split(',').map(str::parse).collect::<Result<Vec<f64>, _>>();
+        let line = |line: &str| {
+            let numbers = numbers(line).unwrap();
+            (numbers[0], numbers[7..13].iter().fold(0.0f64, |most, speed| most.max(speed.abs())))
+        };
+        text.lines().skip(1).map(line).collect()
+    }
+
+    /// Seconds of each stop from 0.05 rad/s until no joint was faster than 0.5 mrad/s for 0.15 s; and the
+    /// fastest joint in each rest, from 1.2 s after it began.
+    fn stops_and_rests(seen: &[(f64, f64)]) -> (Vec<f64>, Vec<f64>) {
+        let (mut settled, mut rests) = (Vec::new(), Vec::new());
+        let (mut moved, mut slow, mut quiet, mut still) = (false, None, None, None);
+        for &(time, speed) in seen {
+            moved |= speed > 0.2;
+            slow = if speed < 0.05 { slow.or(Some(time)) } else { None };
+            quiet = if speed <= 5e-4 { quiet.or(Some(time)) } else { None };
+            still = if speed < 2e-3 { still.or(Some((time, rests.len()))) } else { None };
+            if let (true, Some(since), Some(first)) = (moved, slow, quiet)
+                && time - first >= 0.15
+            {
+                settled.push(time - since);
+                moved = false;
+            }
+            if let Some((_, number)) = still.filter(|(since, _)| time - since > 1.2) {
+                rests.resize(number + 1, 0.0);
+                rests[number] = speed.max(rests[number]);
+            }
+        }
+        (settled, rests)
+    }
+
+    /// The recordings at hand have few stops; each is one that the simulated arm could have made.
+    #[test]
+    fn the_simulated_arm_comes_to_rest_and_trembles_as_in_the_recordings() {
+        let Some(data) = std::env::var_os("CELLD_DATA") else {
+            eprintln!("SKIPPED: no recordings of a real UR10e (set CELLD_DATA)");
+            return;
+        };
+        let folder = std::path::PathBuf::from(data).join("real/ur10e");
+        let files = std::fs::read_dir(&folder).unwrap().map(|file| file.unwrap().path());
+        let texts = files.map(|file| std::fs::read_to_string(file).unwrap());
+        let (mut settled, mut trembles) = (Vec::new(), Vec::new());
+        for (stops, rests) in texts.map(|text| stops_and_rests(&recording(&text))) {
+            settled.extend(stops);
+            trembles.extend(rests);
+        }
+        assert!(settled.len() >= 4 && trembles.len() >= 6, "{settled:?} {trembles:?}");
+        let mut rest = Rest::new(RestConfig::recorded(), 8);
+        let (mut ours, mut our_trembles) = (Vec::new(), Vec::new());
+        for _ in 0..400 {
+            let speeds = (0..5000u32).map(|frame| {
+                let commanded = f64::max(0.4 - 0.87 * FRAME_SECONDS * f64::from(frame), 0.0);
+                rest.step(&[commanded; 6]);
+                let fastest =
+                    rest.measured_speed().iter().fold(0.0f64, |most, v| most.max((commanded + v).abs()));
+                (f64::from(frame) * FRAME_SECONDS, fastest)
+            });
+            // Every fifth frame, as often as the recordings.
+            let (stops, rests) = stops_and_rests(&speeds.step_by(5).collect::<Vec<_>>());
+            ours.extend(stops);
+            our_trembles.extend(rests);
+        }
+        ours.sort_by(f64::total_cmp);
+        settled.sort_by(f64::total_cmp);
+        let (least, most) = (ours[0], ours[ours.len() - 1]);
+        assert!(settled.iter().all(|s| (least..=most).contains(s)), "{settled:?}, ours {least} to {most}");
+        let median = ours[ours.len() / 2];
+        assert!((settled[0] - 0.1..=settled[settled.len() - 1]).contains(&median), "{median} s, {settled:?}");
+        let most = |all: &[f64]| all.iter().fold(0.0f64, |most, one| most.max(*one));
+        let (recorded, simulated) = (most(&trembles), most(&our_trembles));
+        assert!(
+            simulated >= recorded && simulated < 1.6 * recorded,
+            "{simulated}, recorded {recorded} rad/s"
+        );
+    }
 }

@@ -56,6 +56,8 @@ pub struct Segment {
     target: Joints,
     /// A successor may take over in full motion.
     constant_speed: bool,
+    /// The ordered speed of a line of the tool, m/s.
+    line_speed: Option<f64>,
 }
 
 /// How a segment whose successor takes over moves at that moment.
@@ -88,7 +90,7 @@ impl Segment {
             profile = profile.lasting(seconds);
         }
         let course = Course::Joint { from: *from, delta };
-        Segment { corner: None, course, profile, target: *to, constant_speed: false }
+        Segment { corner: None, course, profile, target: *to, constant_speed: false, line_speed: None }
     }
 
     /// A way of the tool from `from`, where `path` starts.
@@ -144,7 +146,8 @@ impl Segment {
             }
         };
         let course = Course::Tool { path, last: *from };
-        Ok(Segment { corner: None, course, profile, target, constant_speed })
+        let line_speed = Some(limits.speed).filter(|_| !constant_speed && limits.seconds <= 0.0);
+        Ok(Segment { corner: None, course, profile, target, constant_speed, line_speed })
     }
 
     /// The way on from `speed` (rad/s) until all joints have stopped together, the fastest of them braking
@@ -156,7 +159,7 @@ impl Segment {
         let unit = MoveLimits { acceleration: 1.0, speed: 1.0, seconds: 0.0, blend: 0.0, keeps: false };
         let profile = profile(1.0, &unit, 0.0, Start::Lead(0.0)).lasting(seconds.max(1e-9));
         let course = Course::RunOut { from: *from, speed: *speed, seconds };
-        Segment { corner: None, course, profile, target, constant_speed: false }
+        Segment { corner: None, course, profile, target, constant_speed: false, line_speed: None }
     }
 
     /// The same after a rounded corner that ends where it begins.
@@ -167,6 +170,11 @@ impl Segment {
     /// How long its rounded corner takes, s.
     pub fn corner_seconds(&self) -> f64 {
         self.corner.as_ref().map_or(0.0, Rounding::seconds)
+    }
+
+    /// The ordered speed of a line of the tool, m/s; none for other moves and where a duration is ordered.
+    pub fn line_speed(&self) -> Option<f64> {
+        self.line_speed
     }
 
     /// Where it ends.

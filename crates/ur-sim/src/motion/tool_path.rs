@@ -160,6 +160,11 @@ impl ToolPath {
                 break;
             }
         }
+        if fraction > 1.0
+            && let Some((direction, _)) = self.final_line()
+        {
+            position += direction.into_inner() * (self.travel * (fraction - 1.0));
+        }
         let turned = self.from * UnitQuaternion::from_scaled_axis(self.turn * fraction);
         Isometry3::from_parts(Translation3::from(position), turned)
     }

@@ -197,8 +197,8 @@ impl World {
         }
         keep_deeper(&mut deepest, self.finger_contact(&tool, holding));
         keep_deeper(&mut deepest, self.housing_contact(&tool));
-        self.pressed_m = deepest.as_ref().map_or(0.0, |contact| contact.depth_m.max(0.0));
-        let deepest = deepest.filter(|contact| contact.depth_m > COMPLIANCE_M);
+        self.touch = deepest.filter(|contact| contact.depth_m > 0.0);
+        let deepest = self.touch.clone().filter(|contact| contact.depth_m > COMPLIANCE_M);
         let same = |a: &Contact, b: &Contact| a.moving == b.moving && a.against == b.against;
         if let Some(contact) = &deepest
             && !self.contact.as_ref().is_some_and(|before| same(before, contact))
@@ -206,6 +206,11 @@ impl World {
             self.record(EventKind::Contact(contact.clone()));
         }
         self.contact = deepest;
+    }
+
+    /// What the arm touches at this moment, also where the cups only give way.
+    pub fn touch(&self) -> Option<&Contact> {
+        self.touch.as_ref()
     }
 
     /// Updates the floor of a held object and says how far the tool presses it below that.

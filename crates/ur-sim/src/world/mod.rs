@@ -97,7 +97,8 @@ pub struct World {
     tool: Option<Tool>,
     contact: Option<Contact>,
     /// How deep the arm presses on something, the cups' give included, m.
-    pressed_m: f64,
+    /// What the arm touches, at whatever depth.
+    touch: Option<Contact>,
     /// Pairs that touch, and not from the side: what of the arm, and which object.
     from_above: Vec<(String, usize)>,
     /// Force that the objects being pushed take, N, in the table frame.
@@ -275,7 +276,7 @@ impl World {
             steps: 0,
             tool: None,
             contact: None,
-            pressed_m: 0.0,
+            touch: None,
             from_above: Vec::new(),
             pushing: Vector3::zeros(),
             events: VecDeque::new(),

@@ -111,7 +111,7 @@ impl World {
     /// Force on the tool from what it touches, N, in the table frame. What hangs on it is the payload's
     /// affair.
     pub fn contact_force(&self) -> Vector3<f64> {
-        let pressing = self.pressed_m * STIFFNESS_N_PER_M;
+        let pressing = self.touch.as_ref().map_or(0.0, |contact| contact.depth_m) * STIFFNESS_N_PER_M;
         Vector3::new(0.0, 0.0, pressing) - self.pushing
     }
 
