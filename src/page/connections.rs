@@ -45,7 +45,7 @@ impl Connections {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A place for a connection from this computer; `None` if all places serve requests.
+    /// A place for a connection from this computer; `None` if no place can be given up for it.
     pub fn arrive(&self, computer: IpAddr) -> Option<Place> {
         let mut open = self.open();
         let Arrival::Taken { id, cut } = open.table.arrive(computer, most_now(), Instant::now()) else {
@@ -62,7 +62,7 @@ impl Connections {
     /// Cuts one connection, for a process that is out of handles.
     pub fn cut_one(&self) {
         let mut open = self.open();
-        if let Some(cut) = open.table.cut_one(Instant::now()) {
+        if let Some(cut) = open.table.cut_one(most_now(), Instant::now()) {
             open.end(cut);
         }
     }

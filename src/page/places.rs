@@ -1,8 +1,9 @@
 //! Places for connections and streams: which connection is cut for a new one, and what is refused.
 //!
 //! In: connections that arrive and what each one does, by the time. Out: a place, with the connection that
-//! is cut for it, or a refusal. Who does least with a place loses it first: strangers, then slow bodies and
-//! unread answers, last a request of the session that has most requests at a time. So an order finds a place
+//! is cut for it, or a refusal. Connections that do least lose their places first: idle ones, then those
+//! without a session, slow bodies, unread answers, last a request of the session with most requests at a
+//! time. A few connections may wait for the head of a request while others are cut, so a stop finds a place
 //! whatever other sessions send. Streams have places of their own, fewer than all. Pure.
 
 use std::collections::HashMap;
@@ -18,6 +19,9 @@ const OF_ONE_PERCENT: usize = 60;
 /// Requests of one session that are served at a time, in percent of all connections.
 const OF_SESSION_PERCENT: usize = 20;
 
+/// So many connections, in percent of all, are not cut for new ones before they have sent a request.
+const AWAITED_PERCENT: usize = 10;
+
 /// Streams of events at a time: percent of all connections, and streams of one session.
 pub const EVENT_STREAMS: (usize, usize) = (30, 24);
 
@@ -26,6 +30,9 @@ pub const FILM_STREAMS: (usize, usize) = (15, 12);
 
 /// An answer that its reader does not take within this time gives its place up for a new connection.
 const READ_WITHIN: Duration = Duration::from_secs(2);
+
+/// Idle connections are cut last if there are only a few.
+const LAST_RANK: u8 = 6;
 
 /// How many connections a process with so many file handles has: the other half is for the cell.
 pub fn most_connections(handles: usize) -> usize {
@@ -58,17 +65,27 @@ struct Held {
     session: Option<String>,
 }
 
+/// What decides which of some connections is cut.
+struct Competition<'a> {
+    /// The session with most requests at a time, if it has more than one.
+    busiest: Option<&'a str>,
+    /// More connections wait for the head of a request than are kept for that.
+    many_idle: bool,
+    now: Instant,
+}
+
 impl Held {
-    /// The lowest is cut first; `None` is not cut. `busiest`: the session with most requests at a time.
-    fn rank(&self, busiest: Option<&str>, now: Instant) -> Option<u8> {
+    /// The lowest is cut first; `None` is not cut.
+    fn rank(&self, among: &Competition) -> Option<u8> {
         match (self.doing, self.session.as_deref()) {
-            (Doing::AwaitsHead, None) => Some(0),
-            (Doing::AwaitsHead, Some(_)) => Some(1),
+            (Doing::AwaitsHead, session) => {
+                Some(u8::from(session.is_some()) + if among.many_idle { 0 } else { LAST_RANK })
+            }
             (Doing::AwaitsBody | Doing::Serves | Doing::Answers, None) => Some(2),
             (Doing::AwaitsBody, Some(_)) => Some(3),
-            (Doing::Answers, Some(_)) if now.duration_since(self.since) >= READ_WITHIN => Some(4),
-            // A stop counts all the same, another order is taken back.
-            (Doing::Serves | Doing::Answers, session) if session == busiest => Some(5),
+            (Doing::Answers, Some(_)) if among.now.duration_since(self.since) >= READ_WITHIN => Some(4),
+            // A stop whose connection is cut still counts; any other order is withdrawn.
+            (Doing::Serves | Doing::Answers, session) if session == among.busiest => Some(5),
             (Doing::Serves | Doing::Answers, Some(_)) | (Doing::Streams, _) => None,
         }
     }
@@ -105,9 +122,9 @@ impl Table {
     pub fn arrive(&mut self, computer: IpAddr, most: usize, now: Instant) -> Arrival {
         let of_one = self.held.iter().filter(|held| held.computer == computer).count();
         let cut = if of_one >= (most * OF_ONE_PERCENT / 100).max(1) {
-            self.cut(now, |held| held.computer == computer)
+            self.cut(most, now, |held| held.computer == computer)
         } else if self.held.len() >= most {
-            self.cut(now, |_| true)
+            self.cut(most, now, |_| true)
         } else {
             return Arrival::Taken { id: self.enter(computer, now), cut: None };
         };
@@ -125,19 +142,21 @@ impl Table {
     }
 
     /// Takes the place of the connection that is missed least, of those wanted.
-    fn cut(&mut self, now: Instant, wanted: impl Fn(&Held) -> bool) -> Option<u64> {
+    fn cut(&mut self, most: usize, now: Instant, wanted: impl Fn(&Held) -> bool) -> Option<u64> {
         let wanted: Vec<(usize, &Held)> =
             self.held.iter().enumerate().filter(|(_, held)| wanted(held)).collect();
+        let idle = wanted.iter().filter(|(_, held)| held.doing == Doing::AwaitsHead).count();
         let busiest = busiest(wanted.iter().map(|(_, held)| *held));
-        let ranked =
-            wanted.iter().filter_map(|(index, held)| Some((held.rank(busiest, now)?, held.since, *index)));
+        let many_idle = idle > (most * AWAITED_PERCENT / 100).max(1);
+        let among = Competition { busiest, many_idle, now };
+        let ranked = wanted.iter().filter_map(|(index, held)| Some((held.rank(&among)?, held.since, *index)));
         let (_, _, index) = ranked.min()?;
         Some(self.held.remove(index).id)
     }
 
     /// Takes the place of any connection that may be cut: the process is out of handles.
-    pub fn cut_one(&mut self, now: Instant) -> Option<u64> {
-        self.cut(now, |_| true)
+    pub fn cut_one(&mut self, most: usize, now: Instant) -> Option<u64> {
+        self.cut(most, now, |_| true)
     }
 
     /// A connection does something else now. With a new request its session is not known yet.
@@ -280,7 +299,7 @@ mod tests {
         let soon = start + Duration::from_secs(1);
         // Each computer has its own limit.
         let order: Vec<_> = (0..7).map(|last| cut(&mut table, 200 + last, soon)).collect();
-        assert_eq!(order, [8, 9, 10, 3, 4, 5, 7].map(Some));
+        assert_eq!(order, [8, 9, 10, 4, 5, 7, 3].map(Some), "one connection may wait for its request");
         assert_eq!(cut(&mut table, 208, soon), None, "an answer on its way stays");
         assert_eq!(cut(&mut table, 208, start + Duration::from_millis(106) + READ_WITHIN), Some(6));
     }
@@ -297,6 +316,28 @@ mod tests {
         assert_eq!(order, [10, 8, 7, 5].map(Some), "of eve, who has most, until she has as many as anna");
         let left: Vec<_> = (0..5).map(|last| cut(&mut table, 210 + last, start + READ_WITHIN)).collect();
         assert_eq!(left, [Some(4), Some(9), Some(2), Some(6), None], "each keeps one");
+    }
+
+    /// One session holds every place, and each connection that is cut comes again at once.
+    #[test]
+    fn a_new_connection_keeps_its_place_until_its_request_is_there() {
+        let start = Instant::now();
+        let mut table = full(start);
+        for id in 1..=MOST as u64 {
+            let doing = if id % 2 == 0 { Doing::Serves } else { Doing::AwaitsBody };
+            works(&mut table, id, Some("eve"), doing, start + Duration::from_millis(100 + id));
+        }
+        let Arrival::Taken { id: anna, .. } = table.arrive(computer(200), MOST, start + READ_WITHIN) else {
+            panic!("a place");
+        };
+        for last in 0..8 {
+            let Arrival::Taken { id, cut } = table.arrive(computer(201 + last), MOST, start + READ_WITHIN)
+            else {
+                panic!("a place");
+            };
+            assert_ne!(cut, Some(anna));
+            works(&mut table, id, Some("eve"), Doing::AwaitsBody, start + READ_WITHIN);
+        }
     }
 
     #[test]
@@ -316,8 +357,8 @@ mod tests {
     fn out_of_handles_one_connection_is_cut() {
         let now = Instant::now();
         let mut table = full(now);
-        assert_eq!(table.cut_one(now), Some(1));
-        assert_eq!(Table::default().cut_one(now), None);
+        assert_eq!(table.cut_one(MOST, now), Some(1));
+        assert_eq!(Table::default().cut_one(MOST, now), None);
     }
 
     #[test]
