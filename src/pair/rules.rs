@@ -154,6 +154,7 @@ impl Rules {
         self.approvals.restarted();
         self.arming.restarted();
         self.holding.restarted();
+        self.contacts.ends();
         self.intake.restarted();
         self.limits.round_over();
         self.waits.acted_on();
@@ -235,7 +236,11 @@ impl Rules {
                 self.contacts.intends(object, *to);
                 self.waits.intends(*step, &mut self.found);
             }
-            Record::Gripped { .. } | Record::Ended(_) => self.waits.succeeded(),
+            Record::Ended(_) => {
+                self.contacts.ends();
+                self.waits.succeeded();
+            }
+            Record::Gripped { .. } => self.waits.succeeded(),
             Record::Found { .. }
             | Record::Approved
             | Record::Released { .. }

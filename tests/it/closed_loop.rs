@@ -28,7 +28,7 @@ use std::collections::BTreeSet;
 use ur_arm::links::{farthest_apart, model_of};
 use ur_sim::faults::read::read_posted;
 use ur_sim::motion::rest::{RestConfig, Stop};
-use ur_sim::motion::rounding::{BlendConfig, EntrySpeed};
+use ur_sim::motion::rounding::{BlendConfig, ENTRY_SPEEDS, EntrySpeed};
 
 #[test]
 fn a_seed_gives_the_same_run_twice_and_another_seed_another() {
@@ -81,7 +81,8 @@ fn the_worst_controller_is_as_bad_as_its_page_says() {
         assert_eq!(stage.weather, Weather::WORST);
     }
     assert_eq!(speeds.len(), 4);
-    assert!((1..20).contains(&claims) && boxes.len() == 3 && half_open_s > 10.0, "{claims} {boxes:?}");
+    assert!((1..20).contains(&claims) && boxes.len() == 3, "{claims} {boxes:?}");
+    assert!(half_open_s > 10.0, "{half_open_s} s");
 }
 
 /// What `--faults sweep` and `--orders` do, with the worst controller of one seed after the other: some of
@@ -89,7 +90,7 @@ fn the_worst_controller_is_as_bad_as_its_page_says() {
 #[test]
 fn no_case_breaks_a_rule_with_the_worst_controller() {
     let worst_cell = |number: usize| {
-        let mut stage = stage(PAGE_SEED, SightKind::Corners).unwrap();
+        let mut stage = stage(number as u64, SightKind::Corners).unwrap();
         worst(&mut stage, number as u64).unwrap();
         stage
     };
@@ -110,21 +111,22 @@ fn no_case_breaks_a_rule_with_the_worst_controller() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// `celld simulate --faults random` with each of the controllers that a real one may be, and without blends.
+/// `celld simulate --faults random` with each blend speed, without blends, and with the worst controller.
 #[test]
 fn no_random_job_breaks_a_rule_with_any_controller() {
-    type Change = fn(&mut Stage, u64);
-    let kept: Change = |stage, seed| {
-        stage.controller.blends = BlendConfig { entry_speed: EntrySpeed::Kept, seed };
-    };
-    let raised: Change = |stage, seed| {
-        stage.controller.blends = BlendConfig { entry_speed: EntrySpeed::Raised, seed };
-    };
-    let none: Change = |stage, _| stage.model.cycle.blend = 0.0;
-    let worst_of: Change = |stage, seed| worst(stage, seed).unwrap();
-    let changes = [("kept", kept), ("raised", raised), ("none", none), ("worst", worst_of)];
+    type Change = Box<dyn Fn(&mut Stage, u64) + Sync>;
+    let mut changes: Vec<(&str, Change)> = vec![
+        ("none", Box::new(|stage, _| stage.model.cycle.blend = 0.0)),
+        ("worst", Box::new(|stage, seed| worst(stage, seed).unwrap())),
+    ];
+    for (name, entry_speed) in ENTRY_SPEEDS {
+        let blend = |stage: &mut Stage, seed| {
+            stage.controller.blends = BlendConfig { entry_speed: *entry_speed, seed };
+        };
+        changes.push((*name, Box::new(blend)));
+    }
     let seeds = (0..64).filter(|seed| chosen(*seed as usize, 8));
-    let runs: Vec<_> = seeds.flat_map(|seed| changes.map(|change| (seed, change))).collect();
+    let runs: Vec<_> = seeds.flat_map(|seed| changes.iter().map(move |change| (seed, change))).collect();
     let wrong: Vec<String> = runs
         .par_iter()
         .flat_map_iter(|(seed, (name, change))| {

@@ -56,8 +56,9 @@ pub(super) struct Bodies {
     arm: ThinModel,
     chain: Chain,
     links: Vec<(usize, Capsule)>,
-    /// Corners of gripper and camera in the flange frame, and points along the gripper's edges.
+    /// Corners of gripper and camera in the flange frame.
     tool: Vec<(&'static str, Point3<f64>)>,
+    /// Points along the gripper's edges.
     tool_edges: Vec<Point3<f64>>,
     equipment: Vec<(String, Solid)>,
     planes: Vec<SafetyPlane>,

@@ -21,7 +21,7 @@ const HANDED_ON_FRAMES: u64 = 5;
 /// gripper.
 const RELEASED_WITHIN_FRAMES: u64 = 4000;
 
-/// An order this much younger than it may be is in time, 50 ms.
+/// Margin below the age limit within which an order need not be accepted, 50 ms.
 const SURELY_FRAMES: u64 = 25;
 
 /// After this long the cell is disarmed, beyond what it may take: 50 ms.
@@ -99,7 +99,8 @@ impl Intake {
         found: &mut Found,
     ) {
         let accepted = reply.accepted;
-        if let Some(why) = reply.stale.filter(|_| self.in_time.remove(&number)) {
+        let in_time = self.in_time.remove(&number);
+        if let Some(why) = reply.stale.filter(|_| in_time) {
             found.push(Rule::RefusedInTime, format!("{order:?} as {why:?}"));
         }
         // A release waits for the arm to come to rest, and is carried out as it is answered.

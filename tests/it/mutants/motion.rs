@@ -97,14 +97,14 @@ pub const CASES: &[Case] = &[
         name: "a corner is cut at full speed by an arm that does not brake for it",
         rule: Rule::JointSpeed,
         cell: blends_kept,
-        plant: corners_fast,
+        plant: || corners_at(FULL_SPEED),
         drill: until_the_first_breach,
     },
     Case {
         name: "a line is entered through a corner at the speed of the move before it",
         rule: Rule::ToolSpeed,
         cell: blends_kept,
-        plant: lines_entered_fast,
+        plant: || corners_at(WORK_SPEED),
         drill: until_the_first_breach,
     },
     Case {
@@ -150,33 +150,20 @@ fn scaled(field: std::ops::Range<usize>, factor: f64) -> Plant {
     })
 }
 
-/// Joint moves that another move follows run at full speed, with a blend.
-fn corners_fast() -> Plant {
-    on_commands(|command| {
+/// Joint moves that another move follows run at this speed, with a blend.
+fn corners_at(speed: f64) -> Plant {
+    on_commands(move |command| {
         let goes_on = rtde::integer(command, rtde::OPTIONS) == 0;
         if goes_on && rtde::integer(command, rtde::OPCODE) == rtde::MOVE_JOINT {
-            rtde::set_double(command, rtde::SPEED, FULL_SPEED);
+            rtde::set_double(command, rtde::SPEED, speed);
             rtde::set_double(command, rtde::BLEND, 0.03);
         }
         true
     })
 }
 
-/// Joint moves that another move follows run at the configured speed, with a blend.
-fn lines_entered_fast() -> Plant {
-    on_commands(|command| {
-        let goes_on = rtde::integer(command, rtde::OPTIONS) == 0;
-        if goes_on && rtde::integer(command, rtde::OPCODE) == rtde::MOVE_JOINT {
-            rtde::set_double(command, rtde::SPEED, WORK_SPEED);
-            rtde::set_double(command, rtde::BLEND, 0.03);
-        }
-        true
-    })
-}
-
-/// A line after a joint move, down to an object or to a place, goes twice as far.
-fn down_too_deep() -> Plant {
-    const SHARE: f64 = 2.0;
+/// Of each line that follows a move with this opcode, the arm goes this share, and `change` is made.
+fn lines_after(first: i32, share: f64, change: fn(&mut [u8])) -> Plant {
     let mut last = None;
     on_commands(move |command| {
         let opcode = rtde::integer(command, rtde::OPCODE);
@@ -185,44 +172,31 @@ fn down_too_deep() -> Plant {
         }
         let target: [f64; 6] = std::array::from_fn(|joint| rtde::double(command, rtde::argument(joint)));
         let before = last.replace((opcode, target));
-        if let Some((rtde::MOVE_JOINT, from)) = before
+        if let Some((_, from)) = before.filter(|(before, _)| *before == first)
             && opcode == rtde::MOVE_LINEAR
         {
             for (joint, from) in from.iter().enumerate() {
-                let there = from + SHARE * (target[joint] - from);
+                let there = from + share * (target[joint] - from);
                 rtde::set_double(command, rtde::argument(joint), there);
             }
+            change(command);
         }
         true
     })
+}
+
+/// Lines down to an object or to its place go twice as far.
+fn down_too_deep() -> Plant {
+    lines_after(rtde::MOVE_JOINT, 2.0, |_| {})
+}
+
+/// Lines up from an object or its place are cut short, and the arm stops there.
+fn lifted_a_little() -> Plant {
+    lines_after(rtde::MOVE_LINEAR, 0.15, |command| rtde::set_double(command, rtde::BLEND, 0.0))
 }
 
 fn blends_kept(stage: &mut Stage) {
     stage.controller.blends = BlendConfig { entry_speed: EntrySpeed::Kept, seed: SEED };
-}
-
-/// Of a line that follows a line, up from where an object is picked or put down, the arm goes this share.
-fn lifted_a_little() -> Plant {
-    const SHARE: f64 = 0.15;
-    let mut last = None;
-    on_commands(move |command| {
-        let opcode = rtde::integer(command, rtde::OPCODE);
-        if opcode != rtde::MOVE_JOINT && opcode != rtde::MOVE_LINEAR {
-            return true;
-        }
-        let target: [f64; 6] = std::array::from_fn(|joint| rtde::double(command, rtde::argument(joint)));
-        let before = last.replace((opcode, target));
-        if let Some((rtde::MOVE_LINEAR, from)) = before
-            && opcode == rtde::MOVE_LINEAR
-        {
-            for (joint, from) in from.iter().enumerate() {
-                let there = from + SHARE * (target[joint] - from);
-                rtde::set_double(command, rtde::argument(joint), there);
-            }
-            rtde::set_double(command, rtde::BLEND, 0.0);
-        }
-        true
-    })
 }
 
 /// The plank at one end of a row, wanted at the other end.

@@ -25,8 +25,8 @@ use crate::ramp::rest_to_rest;
 use nalgebra::Vector3;
 
 /// A blend's real radius over its nominal one, at least and at most. Both are guesses. One late blend was
-/// reported (topic 41354): of 20 mm, 3 mm before the corner, at 1 mm/s, where no load feels the turn. Of
-/// late ones at speed and of early ones nothing is known.
+/// reported (topic 41354): of 20 mm, 3 mm before the corner, at 1 mm/s, where no load feels the turn.
+/// Nothing is published about late blends at speed or about early blends.
 const BLEND_RADIUS_MIN_RATIO: f64 = 0.5;
 const BLEND_RADIUS_MAX_RATIO: f64 = 1.1;
 
@@ -345,6 +345,47 @@ mod tests {
             assert!(pace(across).0 <= 1.01 * brakes, "{seed}: {} rad/s, {brakes}", pace(across).0);
         }
         assert!(stops > 20 && slowed > 5, "{stops} stops, {slowed} slowed");
+    }
+
+    /// Up, across and down by lines that all blend: the line across is entered no faster than it can be
+    /// braked to what the last one allows.
+    #[test]
+    fn of_two_blends_in_a_row_the_first_leaves_room_for_the_second() {
+        let model = model(0.5);
+        let (mut chained, mut slowed) = (0, 0);
+        for seed in 0..300 {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let [height, across_m, down_m]: [f64; 3] = std::array::from_fn(|_| rng.random_range(0.03..0.12));
+            let accelerations: [f64; 3] = std::array::from_fn(|_| rng.random_range(0.5..2.0));
+            let wanted: [f64; 3] = std::array::from_fn(|_| rng.random_range(0.05..0.4));
+            let radii = [0.3 * height.min(across_m), 0.3 * across_m.min(down_m), 0.0];
+            let at = |x: f64, z: f64| joints_at(&model, x, z);
+            let top = 0.2 + height;
+            let targets = [at(0.1, top), at(0.1 + across_m, top), at(0.1 + across_m, top - down_m)];
+            let legs: [Leg; 3] = std::array::from_fn(|k| {
+                let (speed, acceleration) = (wanted[k], accelerations[k]);
+                let segment = Segment::Linear { target: targets[k], speed, acceleration, blend: radii[k] };
+                Leg::over(segment, 0.0)
+            });
+            let path = CheckedPath::new(&model, &at(0.1, 0.2), &legs, &Room::empty()).expect("free");
+            let [up, across, down] = path.segments() else { panic!("{path:?}") };
+            if up.blend() <= 0.0 || across.blend() <= 0.0 {
+                continue;
+            }
+            chained += 1;
+            let speeds = [up, across, down].map(|segment| pace(segment).0);
+            slowed += usize::from(speeds != wanted);
+            let reached = (2.0 * accelerations[0] * (height - 0.5 * radii[0])).sqrt();
+            let came = speeds[0].min(reached);
+            let leaves = speeds[2].min((2.0 * accelerations[2] * (down_m - radii[1])).sqrt());
+            let room = across_m - radii[0] - radii[1];
+            let brakes = (leaves * leaves + 2.0 * accelerations[1] * room).sqrt();
+            assert!(came <= 1.01 * speeds[1], "{seed}: {came} m/s into a line of {} m/s", speeds[1]);
+            let entered = came.max(speeds[1]);
+            assert!(entered <= 1.01 * brakes, "{seed}: entered at {entered} m/s, braked from {brakes}");
+            assert!(speeds[1] <= 1.01 * speeds[2] || across.blend() <= 0.0, "{seed}: {speeds:?}");
+        }
+        assert!(chained > 20 && slowed > 20, "{chained} chains, {slowed} slowed");
     }
 
     #[test]

@@ -7,7 +7,8 @@
 //! A blend is the sum of two motions: while one brakes to a stop over the blend distance, the next starts,
 //! taking as long to reach its speed. Both ramps being equally long, speed in a straight continuation stays
 //! constant, and round a corner the path is a parabola. A path that is entered faster than its length allows
-//! to brake from is overrun: the arm goes past the end and comes back.
+//! to brake from is overrun: the arm goes past the end and comes back. If such a path has a blend at its end
+//! and no next move rounds that corner, the arm brakes harder in the blend.
 
 /// What a profile is built from.
 #[derive(Clone, Copy, Debug)]

@@ -10,8 +10,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// A blend begins at between these shares of its radius, in the readings that do not brake before it.
-/// Chosen: a blend of 20 mm that began 3 mm before the corner was reported once, of a tool at 1 mm/s; of
-/// late ones at speed and of early ones nothing is known.
+/// Chosen: a blend of 20 mm that began 3 mm before the corner was reported once, of a tool at 1 mm/s.
+/// Nothing is published about late blends at speed or about early blends.
 const BLEND_START_RANGE: std::ops::RangeInclusive<f64> = 0.5..=1.1;
 
 /// A joint that has this share of the fastest one's speed leads.

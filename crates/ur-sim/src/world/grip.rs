@@ -208,7 +208,7 @@ impl World {
         self.contact = deepest;
     }
 
-    /// What the arm touches at this moment, also where the cups only give way.
+    /// The arm's deepest contact at this moment, also where the cups only give way.
     pub fn touch(&self) -> Option<&Contact> {
         self.touch.as_ref()
     }

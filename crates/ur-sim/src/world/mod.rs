@@ -96,8 +96,7 @@ pub struct World {
     steps: u64,
     tool: Option<Tool>,
     contact: Option<Contact>,
-    /// How deep the arm presses on something, the cups' give included, m.
-    /// What the arm touches, at whatever depth.
+    /// The deepest contact of the arm, also where the cups only give way.
     touch: Option<Contact>,
     /// Pairs that touch, and not from the side: what of the arm, and which object.
     from_above: Vec<(String, usize)>,
