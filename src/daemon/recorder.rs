@@ -54,8 +54,8 @@ const IDLE_FILE: Duration = Duration::from_secs(300);
 /// How long a job's file goes on after the job where the arm is not known to be at rest, in the cell's time.
 const REST_WITHIN: Duration = Duration::from_secs(30);
 
-/// How long the end of a run waits for what is left to be written. It comes on top of what the journal may
-/// take; the next start repairs a recording that is cut off.
+/// At the end of a run celld waits at most this long for the recording, after the journal. The next start
+/// repairs a recording that was cut off.
 const CLOSE_WITHIN: std::time::Duration = std::time::Duration::from_secs(3);
 
 /// The loop's end of a recording.

@@ -214,6 +214,8 @@ impl Watchdog {
 impl Drop for Watchdog {
     /// What was reached is sent before the process ends, unless the service manager takes nothing.
     fn drop(&mut self) {
+        // Also a daemon that ends before its robot was there, once it was ready.
+        let _ = self.shared.stage.compare_exchange(READY, STOPPING, Ordering::Relaxed, Ordering::Relaxed);
         self.shared.ends.store(true, Ordering::Release);
         self.thread.unpark();
         let _ = self.ended.recv_timeout(SENT_WITHIN);
@@ -271,7 +273,7 @@ impl Outcome {
 /// reason to end.
 fn send(state: NotifyState) {
     let socket = std::env::var_os("NOTIFY_SOCKET").unwrap_or_default();
-    // The library knows sockets with a path alone.
+    // sd_notify supports only path sockets.
     let sent = match socket.as_encoded_bytes().strip_prefix(b"@") {
         Some(name) => send_to_abstract(name, &state.to_string()),
         None => sd_notify::notify(&[state]),
@@ -281,7 +283,7 @@ fn send(state: NotifyState) {
     }
 }
 
-/// To a socket whose name stands in no folder (`unix(7)`).
+/// Sends to a socket in the abstract namespace (`unix(7)`).
 fn send_to_abstract(name: &[u8], message: &str) -> io::Result<()> {
     let address = SocketAddr::from_abstract_name(name)?;
     UnixDatagram::unbound()?.send_to_addr(message.as_bytes(), &address).map(|_| ())

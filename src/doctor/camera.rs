@@ -105,7 +105,7 @@ impl CameraFacts {
         };
         let seen = check.as_ref().map_or(0, |check| check.markers.len());
         let Some(check) = check.as_ref().filter(|_| seen >= ENOUGH) else {
-            let hint = "from a look pose more are in view: `celld park`, or jog the arm there at the pendant \
+            let hint = "a look pose shows more markers: `celld park`, or jog the arm there at the pendant \
                         in Local Control, then switch it back to Remote Control; run `celld doctor` again";
             let found = format!("{seen} of {surveyed} reference markers in view, {ENOUGH} are needed");
             return note(item, found, hint);

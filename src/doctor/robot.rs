@@ -352,11 +352,11 @@ fn software_line(text: &str) -> Option<Line> {
         return Some(problem("software", fault, "update the controller's software"));
     }
     let lacks: Vec<String> = missing(version)
-        .map(|feature| format!("{} (from {}.{})", feature.name, feature.since[0], feature.since[1]))
+        .map(|feature| format!("no {} (from {}.{})", feature.name, feature.since[0], feature.since[1]))
         .collect();
     (!lacks.is_empty()).then(|| {
-        let found = format!("{major}.{minor} lacks {}", lacks.join(", "));
-        note("software", found, "celld works without it; an update of the controller brings it")
+        let found = format!("{major}.{minor}: {}; celld works without it", lacks.join(", "));
+        note("software", found, "an update of the controller's software brings it")
     })
 }
 

@@ -68,6 +68,15 @@ fn cell_demo_brings_every_object_to_its_goal_and_the_world_agrees() {
     }
 }
 
+/// A library of this C code, to be loaded before libc (`LD_PRELOAD`).
+pub(crate) fn preloaded(folder: &Path, code: &str) -> PathBuf {
+    let (source, library) = (folder.join("preloaded.c"), folder.join("preloaded.so"));
+    std::fs::write(&source, code).expect("written");
+    let built = Command::new("cc").args(["-shared", "-fPIC", "-o"]).arg(&library).arg(&source).status();
+    assert!(built.expect("a C compiler").success());
+    library
+}
+
 /// A process that is ended with its test.
 pub(crate) struct Running(pub(crate) Child);
 

@@ -10,11 +10,10 @@
 //! held, and that the job can be brought to its end.
 
 use crate::cell::{
-    LOG, Running, celld, configuration, copy_calibration, result_of, start_daemon, start_daemon_with,
-    start_sim, wait_until,
+    LOG, Running, celld, configuration, copy_calibration, preloaded, result_of, start_daemon,
+    start_daemon_with, start_sim, wait_until,
 };
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
@@ -69,14 +68,6 @@ int rename(const char *from, const char *to) {
 int unlink(const char *name) { int result = syscall(SYS_unlink, name); count(name); return result; }
 "#;
 
-fn killer(folder: &Path) -> PathBuf {
-    let (source, library) = (folder.join("killer.c"), folder.join("killer.so"));
-    std::fs::write(&source, KILLER).expect("written");
-    let built = Command::new("cc").args(["-shared", "-fPIC", "-o"]).arg(&library).arg(&source).status();
-    assert!(built.expect("a C compiler").success());
-    library
-}
-
 /// When the daemon is killed.
 #[derive(Clone, Copy, Debug)]
 enum When {
@@ -102,7 +93,7 @@ impl Cell {
         let folder = tempfile::tempdir().expect("a folder");
         let (config, sim) = configuration(folder.path(), address, 4);
         copy_calibration(folder.path());
-        let killer = killer(folder.path());
+        let killer = preloaded(folder.path(), KILLER);
         Cell { _sim: start_sim(&sim), folder, config, killer }
     }
 

@@ -5,11 +5,9 @@
 //! the arm when it receives nothing for 200 ms, so that a loop that waits for one commit fails here.
 
 use crate::cell::{
-    LOG, celld, configuration, copy_calibration, result_of, start_daemon_with, start_strict_sim, text,
-    wait_until,
+    LOG, celld, configuration, copy_calibration, preloaded, result_of, start_daemon_with, start_strict_sim,
+    text, wait_until,
 };
-use std::path::{Path, PathBuf};
-use std::process::Command;
 
 /// Before libc: slow commits; each of the journal leaves a mark.
 const SLOW: &str = r#"
@@ -42,21 +40,13 @@ int fsync(int file) { return slowly(SYS_fsync, file); }
 int fdatasync(int file) { return slowly(SYS_fdatasync, file); }
 "#;
 
-fn slow_disk(folder: &Path) -> PathBuf {
-    let (source, library) = (folder.join("slow.c"), folder.join("slow.so"));
-    std::fs::write(&source, SLOW).expect("written");
-    let built = Command::new("cc").args(["-shared", "-fPIC", "-o"]).arg(&library).arg(&source).status();
-    assert!(built.expect("a C compiler").success());
-    library
-}
-
 #[test]
 fn cell_keeps_its_heartbeat_on_a_slow_disk() {
     let folder = tempfile::tempdir().expect("a folder");
     let (cell, sim) = configuration(folder.path(), "127.7.6.3", 1);
     copy_calibration(folder.path());
     let _sim = start_strict_sim(&sim);
-    let (library, marks) = (slow_disk(folder.path()), folder.path().join("marks"));
+    let (library, marks) = (preloaded(folder.path(), SLOW), folder.path().join("marks"));
     let commits = || std::fs::metadata(&marks).map_or(0, |meta| meta.len());
     let slow = [("LD_PRELOAD", library.as_path()), ("SLOW_DISK_MARKS", marks.as_path())];
     let _daemon = start_daemon_with(folder.path(), &cell, &slow);

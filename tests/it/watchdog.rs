@@ -5,10 +5,11 @@
 //! runs on, its other threads too, only the loop does not.
 
 use crate::cell::{
-    CELLD, LOG, configuration, copy_calibration, start_daemon_with, start_strict_sim, wait_until,
+    CELLD, LOG, configuration, copy_calibration, preloaded, start_daemon_with, start_strict_sim, wait_until,
 };
-use std::os::unix::net::UnixDatagram;
-use std::path::{Path, PathBuf};
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
+use std::path::Path;
 use std::process::Command;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -35,21 +36,13 @@ ssize_t send(int socket, const void *bytes, size_t size, int flags) {
 }
 "#;
 
-fn hanging(folder: &Path) -> PathBuf {
-    let (source, library) = (folder.join("hangs.c"), folder.join("hangs.so"));
-    std::fs::write(&source, HANGS).expect("written");
-    let built = Command::new("cc").args(["-shared", "-fPIC", "-o"]).arg(&library).arg(&source).status();
-    assert!(built.expect("a C compiler").success());
-    library
-}
-
 /// What was sent to the service manager so far.
 #[derive(Clone)]
 struct Manager(Arc<Mutex<Vec<String>>>);
 
 impl Manager {
-    fn at(path: &Path) -> Manager {
-        let socket = UnixDatagram::bind(path).expect("a socket");
+    fn at(address: &SocketAddr) -> Manager {
+        let socket = UnixDatagram::bind_addr(address).expect("a socket");
         let manager = Manager(Arc::default());
         let messages = Arc::clone(&manager.0);
         std::thread::spawn(move || {
@@ -84,8 +77,8 @@ fn cell_feeds_the_watchdog_only_while_every_task_answers() {
     let (cell, sim) = configuration(folder.path(), "127.7.6.10", 1);
     copy_calibration(folder.path());
     let (socket, hangs) = (folder.path().join("notify"), folder.path().join("hang"));
-    let manager = Manager::at(&socket);
-    let library = hanging(folder.path());
+    let manager = Manager::at(&SocketAddr::from_pathname(&socket).expect("a short path"));
+    let library = preloaded(folder.path(), HANGS);
     let environment = [
         ("NOTIFY_SOCKET", socket.as_path()),
         ("WATCHDOG_USEC", Path::new("600000")),
@@ -117,6 +110,21 @@ fn cell_feeds_the_watchdog_only_while_every_task_answers() {
     std::fs::remove_file(&hangs).expect("removed");
     wait_until("the loop answers", || log().contains("the loop answers again"));
     manager.waits_for("WATCHDOG=1");
+    let ended = Command::new("sh").args(["-c", &format!("kill -TERM {}", daemon.0.id())]).status();
+    assert!(ended.expect("sh").success());
+    wait_until("it says that it ends", || manager.count("STOPPING=1") == 1);
+}
+
+#[test]
+fn cell_reports_to_a_service_manager_with_an_abstract_socket() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (cell, _) = configuration(folder.path(), "127.7.6.11", 1);
+    copy_calibration(folder.path());
+    let name = format!("celld-watchdog-{}", std::process::id());
+    let manager = Manager::at(&SocketAddr::from_abstract_name(&name).expect("a name"));
+    let socket = format!("@{name}");
+    let daemon = start_daemon_with(folder.path(), &cell, &[("NOTIFY_SOCKET", Path::new(&socket))]);
+    wait_until("it is ready", || manager.count("READY=1") == 1);
     let ended = Command::new("sh").args(["-c", &format!("kill -TERM {}", daemon.0.id())]).status();
     assert!(ended.expect("sh").success());
     wait_until("it says that it ends", || manager.count("STOPPING=1") == 1);

@@ -1,10 +1,8 @@
 //! A plan is approved by its number, and an order that was decided goes on without its client.
 
 use super::{Cell, JOB, ended, signal};
-use crate::cell::wait_until;
+use crate::cell::{preloaded, wait_until};
 use serde_json::json;
-use std::path::{Path, PathBuf};
-use std::process::Command;
 
 /// Before libc: while a file is there, the files of decided orders are not removed and so not answered,
 /// except stops.
@@ -23,21 +21,13 @@ int unlink(const char *name) {
 }
 "#;
 
-fn holding(folder: &Path) -> PathBuf {
-    let (source, library) = (folder.join("holds.c"), folder.join("holds.so"));
-    std::fs::write(&source, HOLDS).expect("written");
-    let built = Command::new("cc").args(["-shared", "-fPIC", "-o"]).arg(&library).arg(&source).status();
-    assert!(built.expect("a C compiler").success());
-    library
-}
-
 /// Off a terminal `celld approve` without a number approves nothing and exits with 2. With the number the
 /// plan is approved; Ctrl-C before the answer ends the client, which says that the order goes on, and `lid`
 /// is carried. A stop is answered all the same.
 #[test]
 fn cell_carries_out_the_plan_that_was_named_after_its_client_was_interrupted() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (library, held) = (holding(folder.path()), folder.path().join("held"));
+    let (library, held) = (preloaded(folder.path(), HOLDS), folder.path().join("held"));
     let environment = [("LD_PRELOAD", library.as_path()), ("HOLDS_WHILE", held.as_path())];
     let cell = Cell::start("127.7.9.21", &environment);
     cell.submit(&JOB.replace("goal:", "approval: job\ngoal:"));

@@ -3,13 +3,13 @@
 use super::{Cell, request, terminate, thread_files};
 use crate::cell::{CELLD, LOG, Running, wait_until};
 use std::io::Write;
-use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::process::{ChildStdin, Command, Stdio};
 use std::time::Duration;
 
-/// Ctrl-S (XOFF) suspends the output of a terminal.
+/// Ctrl-S (XOFF) suspends the output of a terminal, Ctrl-Q (XON) resumes it.
 const CTRL_S: &[u8] = b"\x13";
+const CTRL_Q: &[u8] = b"\x11";
 
 /// Requests to the page that leave more lines of trace than the log's queue takes (4096): two each.
 const REQUESTS: usize = 3000;
@@ -25,9 +25,9 @@ fn cell_that_was_held_up_is_disarmed_stays_and_says_so() {
     std::thread::sleep(Duration::from_secs(16));
     cell.signal("CONT");
     let words = "celld was held up for ";
-    wait_until("it says so", || cell.log().contains(words));
-    let seconds = cell.log().split(words).nth(1).and_then(|rest| rest.split(' ').next()?.parse().ok());
-    assert!(seconds.is_some_and(|seconds: f64| seconds >= 16.0), "{seconds:?} s");
+    // A busy computer may hold celld up for a moment before.
+    let is_long = |rest: &str| rest.split(' ').next().and_then(|text| text.parse().ok()) >= Some(16.0);
+    wait_until("it says so", || cell.log().split(words).skip(1).any(is_long));
     wait_until("the status says so", || !cell.armed());
     assert!(cell.daemon().try_wait().expect("a child").is_none(), "it stays: {}", cell.log());
     assert!(!cell.log().contains("check the disk"), "{}", cell.log());
@@ -110,19 +110,15 @@ fn carries_and_is_aborted(cell: &Cell) {
     assert!(cell.rests());
 }
 
-/// Standard error is a pipe that nobody reads, and the service manager has an abstract socket with a full
-/// queue: an abort is taken, and SIGTERM ends the daemon.
+/// Standard error is a pipe that nobody reads, and the queue of the service manager's socket is full: an
+/// abort is taken, and SIGTERM ends the daemon.
 #[test]
 fn cell_with_a_blocked_log_takes_an_abort_and_ends() {
     let mut cell = Cell::without_daemon("127.7.9.5");
-    let name = format!("celld-{}-{}", cell.address, std::process::id());
-    let manager = FullSocket::at(&SocketAddr::from_abstract_name(&name).expect("a name"));
-    let process = cell
-        .run()
-        .env("CELLD_LOG", "trace")
-        .env("NOTIFY_SOCKET", format!("@{name}"))
-        .stderr(Stdio::piped())
-        .spawn();
+    let socket = cell.path().join("notify");
+    let manager = FullSocket::at(&SocketAddr::from_pathname(&socket).expect("a short path"));
+    let process =
+        cell.run().env("CELLD_LOG", "trace").env("NOTIFY_SOCKET", &socket).stderr(Stdio::piped()).spawn();
     cell.daemon = Some(Running(process.expect("the binary runs")));
     cell.takes_orders();
     carries_and_is_aborted(&cell);
@@ -133,12 +129,11 @@ fn cell_with_a_blocked_log_takes_an_abort_and_ends() {
 
 /// `script` runs the daemon on a terminal of its own, and copies what the terminal shows into the log file;
 /// what is written to the result is typed.
-fn start_on_a_terminal(cell: &mut Cell, manager: &SocketAddr) -> ChildStdin {
+fn start_on_a_terminal(cell: &mut Cell) -> ChildStdin {
     let command = format!("exec '{CELLD}' run --config '{}'", cell.config.display());
     let script = Command::new("script")
         .args(["--quiet", "--flush", "--command", &command, LOG])
         .envs([("SHELL", "/bin/sh"), ("CELLD_LOG", "trace")])
-        .env("NOTIFY_SOCKET", manager.as_pathname().expect("a path"))
         .current_dir(cell.path())
         .stdin(Stdio::piped())
         .stdout(Stdio::null())
@@ -150,30 +145,33 @@ fn start_on_a_terminal(cell: &mut Cell, manager: &SocketAddr) -> ChildStdin {
     keys
 }
 
-/// Standard output and error are a terminal on which Ctrl-S was pressed, more lines wait than the log's
-/// queue takes, and the queue of the service manager's socket is full: an abort is taken, and SIGTERM ends
-/// the daemon.
+/// Standard output and error are a terminal on which Ctrl-S was pressed, and more lines wait than the log's
+/// queue takes: an abort is taken, and SIGTERM ends the daemon.
 #[test]
 fn cell_on_a_suspended_terminal_takes_an_abort_and_ends() {
     let mut cell = Cell::without_daemon("127.7.9.20");
-    let address = SocketAddr::from_pathname(cell.path().join("notify")).expect("a short path");
-    let manager = FullSocket::at(&address);
-    let mut keys = start_on_a_terminal(&mut cell, &address);
+    let mut keys = start_on_a_terminal(&mut cell);
     let process = cell.status()["pid"].as_u64().and_then(|id| u32::try_from(id).ok()).expect("its number");
     let shown = || std::fs::metadata(cell.path().join(LOG)).map_or(0, |log| log.len());
-    keys.write_all(CTRL_S).expect("pressed");
-    wait_until("the terminal shows nothing new", || {
+    let suspend_and_fill = |keys: &mut ChildStdin| {
+        keys.write_all(CTRL_S).expect("pressed");
+        wait_until("the terminal shows nothing new", || {
+            let before = shown();
+            std::thread::sleep(Duration::from_millis(300));
+            shown() == before
+        });
         let before = shown();
-        std::thread::sleep(Duration::from_millis(300));
-        shown() == before
-    });
-    let before = shown();
-    (0..REQUESTS).for_each(|_| _ = request(cell.address, 8737, "/livez", ""));
+        (0..REQUESTS).for_each(|_| _ = request(cell.address, 8737, "/livez", ""));
+        before
+    };
+    suspend_and_fill(&mut keys);
+    keys.write_all(CTRL_Q).expect("pressed");
+    wait_until("so many requests fill the queue", || cell.log().contains("lines of the log were lost"));
+    let before = suspend_and_fill(&mut keys);
     carries_and_is_aborted(&cell);
     assert_eq!(shown(), before, "the output is suspended");
     terminate(process);
     assert!(cell.holds(), "the end leaves the vacuum as it is");
-    manager.got_nothing();
 }
 
 /// A terminal that is closed ends the daemon as SIGTERM does: the arm stops, the status is no longer armed.

@@ -9,8 +9,8 @@ use crate::terminal::complain;
 use std::fmt::{self, Write as _};
 use std::io::{self, IsTerminal, Write};
 use std::os::unix::net::UnixDatagram;
-use std::sync::OnceLock;
 use std::sync::mpsc::channel;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 use tracing::field::{Field, Visit};
 use tracing::{Event, Level, Subscriber};
@@ -39,17 +39,21 @@ const WRITTEN_WITHIN: Duration = Duration::from_millis(1500);
 pub struct LogGuard(Option<WorkerGuard>);
 
 impl Drop for LogGuard {
-    /// The library's guard prints to standard output if its queue is full: a held terminal takes nothing.
+    /// The library's guard prints to standard output if its queue is full, and on a suspended terminal that
+    /// call never returns.
     fn drop(&mut self) {
-        let guard = self.0.take();
-        let (over, is_over) = channel();
+        let guard = Arc::new(Mutex::new(self.0.take()));
+        let (taken, (over, is_over)) = (Arc::clone(&guard), channel());
+        let take =
+            |guard: &Mutex<Option<WorkerGuard>>| guard.lock().unwrap_or_else(PoisonError::into_inner).take();
         let thread = std::thread::Builder::new().name("log-end".to_string());
         let spawned = thread.spawn(move || {
-            drop(guard);
+            drop(take(&taken));
             let _ = over.send(());
         });
-        if spawned.is_ok() {
-            let _ = is_over.recv_timeout(WRITTEN_WITHIN);
+        match spawned {
+            Ok(_) => _ = is_over.recv_timeout(WRITTEN_WITHIN),
+            Err(_) => std::mem::forget(take(&guard)),
         }
     }
 }

@@ -18,7 +18,7 @@ pub struct Feature {
 /// Programs may change the payload over a time.
 const GRADUAL_PAYLOAD: Feature = Feature {
     since: [5, 10],
-    name: "a payload that changes over 0.1 s (`set_target_payload`)",
+    name: "gradual payload change (`set_target_payload` with a transition time)",
     needed: false,
 };
 
@@ -80,7 +80,7 @@ mod tests {
     fn what_older_software_lacks_is_named() {
         let names = |version| missing(version).map(|feature| feature.name).collect::<Vec<_>>();
         assert_eq!(names([5, 5]).len(), 3);
-        assert_eq!(names([5, 9]), ["a payload that changes over 0.1 s (`set_target_payload`)"]);
+        assert_eq!(names([5, 9]), ["gradual payload change (`set_target_payload` with a transition time)"]);
         assert!(names([5, 10]).is_empty());
     }
 }
